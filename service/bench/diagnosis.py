@@ -1,10 +1,10 @@
-"""Measures how long the tasks of a diagnosis take, and projects that on more workers.
+"""Timing of the tasks of a diagnosis, and a projection to more workers.
 
 The tasks run one after another in this process, as they would on one worker; each phase ends
-before the next begins. With N workers the tasks of a phase are given out in their order, each to
-the worker that is free first, and a phase takes as long as its last worker: the bound of any
-schedule without knowledge of the times (R. L. Graham, SIAM J. Appl. Math. 17 (1969) 416). What a
-cluster adds is not in it: starting, sending, and what each worker loads for itself.
+before the next begins. With N workers the tasks of a phase are assigned in order, each to the
+first free worker, and a phase takes as long as its last worker: a bound for any schedule without
+knowledge of the times (R. L. Graham, SIAM J. Appl. Math. 17 (1969) 416). The overhead of a
+cluster is not included: starting, sending, and data loaded by each worker.
 """
 
 import heapq
@@ -22,13 +22,13 @@ WORKERS = (1, 2, 4, 12)
 
 @dataclass(frozen=True, slots=True)
 class PhaseTimes:
-    """How long the tasks of one phase took, in s, in the order in which they were sent."""
+    """Durations of the tasks of one phase, in s, in the order in which they were sent."""
 
     phase: str
     seconds: tuple[float, ...]
 
     def on(self, workers: int) -> float:
-        """Return how long so many workers would take."""
+        """Return the duration on a number of workers, in s."""
         free = [0.0] * workers
         for seconds in self.seconds:
             heapq.heapreplace(free, free[0] + seconds)
@@ -36,9 +36,9 @@ class PhaseTimes:
 
 
 class _Timed(SingleProcess):
-    """One process that makes preparations as tasks of their own, and notes how long each takes."""
+    """A single process that runs preparations as separate tasks and times every task."""
 
-    threads = 2  # With one, a process makes the preparations while it calibrates.
+    threads = 2  # With one, the process would run the preparations within the calibration.
 
     def __init__(self) -> None:
         self.seconds: list[float] = []
@@ -55,7 +55,7 @@ class _Timed(SingleProcess):
 def measure_diagnosis(
     source: Path, store: Path, nodes: int, tell: Callable[[PhaseTimes], object]
 ) -> list[PhaseTimes]:
-    """Diagnose a case in this process, in an empty store; tell of each phase when it has ended.
+    """Diagnose a case in this process with an empty store, reporting each completed phase.
 
     Raises
     ------
@@ -75,5 +75,5 @@ def measure_diagnosis(
 
 
 def projected(phases: Sequence[PhaseTimes], workers: int) -> float:
-    """Return how long all phases would take on so many workers, in s."""
+    """Return the duration of all phases on a number of workers, in s."""
     return sum(phase.on(workers) for phase in phases)

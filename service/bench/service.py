@@ -1,7 +1,7 @@
-"""Measures what is not simulation: overhead, memory, and workers that wait.
+"""Benchmarks of everything but the simulation: overhead, memory, and idle workers.
 
-`soak` runs many trivial evaluations through a scheduler, workers and a service in processes of
-their own, as `palpate serve --scheduler` does. The others run a study on sleeping tasks.
+`soak` runs many trivial evaluations through a scheduler, workers and a service in separate
+processes, as `palpate serve --scheduler` does. The others run a study on sleeping tasks.
 """
 
 import os
@@ -37,8 +37,8 @@ from palpate.storage.errors import InputError
 from palpate.workers import WORKER_ENVIRONMENT
 
 POPULATION = 200
-# Workers, population, generations, how long evaluations take, modes. Two workers are processes,
-# as on a workstation; the others threads of one worker, which sleep.
+# Workers, population, generations, durations of evaluations, modes. Two workers are processes,
+# as on a workstation; larger numbers are threads of one worker, which sleep.
 CASES: tuple[tuple[int, int, int, Durations, tuple[str, ...]], ...] = (
     (2, 84, 1, Durations(1.0), ("barrier",)),
     (12, 84, 4, Durations(1.0, 0.8), ("barrier", "steady")),
@@ -47,13 +47,13 @@ CASES: tuple[tuple[int, int, int, Durations, tuple[str, ...]], ...] = (
 MOST_PROCESSES = 4
 PATIENCE_S = 120.0
 SAMPLES = 20
-# Of the evaluations: caches and allocators fill before memory is compared.
+# Share of the evaluations before memory is compared, while caches and allocators fill.
 WARM_SHARE = 0.1
 
 
 @dataclass(frozen=True)
 class Soak:
-    """What many trivial evaluations cost.
+    """The cost of many trivial evaluations.
 
     Parameters
     ----------
@@ -61,9 +61,9 @@ class Soak:
     seconds : float
         From the first to the last ending.
     overhead_ms : float
-        Of an evaluation, in wall time.
+        Wall time per evaluation.
     memory_mb : dict of str to tuple of float
-        Of service and scheduler, after the first tenth and at the end.
+        Memory of service and scheduler, after the first tenth and at the end.
     """
 
     evaluations: int
@@ -72,7 +72,7 @@ class Soak:
     memory_mb: dict[str, tuple[float, float]]
 
     def growth(self, process: str) -> float:
-        """Return by which share the memory of a process has grown."""
+        """Return the relative growth of a process's memory."""
         first, last = self.memory_mb[process]
         return last / first - 1
 
@@ -85,7 +85,7 @@ def soak(evaluations: int, folder: Path, workers: int = 2) -> Soak:
     evaluations : int
         A multiple of 200.
     folder : Path
-        Empty.
+        An empty folder.
     """
     generations = evaluations // POPULATION
     if generations * POPULATION != evaluations or not generations:
@@ -141,7 +141,7 @@ def all_rows(evaluations: int) -> Iterator[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Busy:
-    """How well workers were used by tasks that sleep."""
+    """Utilisation of workers by sleeping tasks."""
 
     mode: str
     workers: int
@@ -159,9 +159,9 @@ def busy(
     *,
     mode: str = "barrier",
 ) -> Busy:
-    """Run a study of sleeping tasks on so many workers.
+    """Run a study of sleeping tasks on a number of workers.
 
-    Up to `MOST_PROCESSES` are processes; more are threads of one worker, for they only sleep.
+    Up to `MOST_PROCESSES` are processes; more are threads of one worker, since they only sleep.
     """
     durations.write(folder / "store")
     spec = parse_spec(text_of(mode, population, generations, mode=mode), "bench", Path())

@@ -1,6 +1,6 @@
-"""Tasks of a study that sleep instead of computing, to measure everything around them.
+"""Study tasks that sleep instead of computing, for measuring everything around them.
 
-The store says how long in `DURATIONS`; a candidate's own share of it follows from its digest.
+The store has the durations in `DURATIONS`; the deviation of a candidate follows from its digest.
 """
 
 import json
@@ -36,19 +36,19 @@ seed: 1
 
 @dataclass(frozen=True)
 class Durations:
-    """How long evaluations take: from `mean_s` (1 - spread) to `mean_s` (1 + spread)."""
+    """Durations of evaluations: from `mean_s` (1 - spread) to `mean_s` (1 + spread)."""
 
     mean_s: float = 0.0
     spread: float = 0.0
 
     def write(self, place: Location) -> None:
-        """Write it into a store, in a folder or a bucket, which is made."""
+        """Write the durations to a store, creating its folder or bucket."""
         store = open_store(place)
         store.backend.write(store.root / DURATIONS, json.dumps([self.mean_s, self.spread]).encode())
 
     @staticmethod
     def seconds(store: Store, name: str) -> float:
-        """Return how long the evaluation of a digest takes."""
+        """Return the duration of the evaluation with a given digest."""
         mean_s, spread = json.loads(store.backend.read(store.root / DURATIONS))
         return float(mean_s * (1 + spread * (2 * int(name[:8], 16) / 2**32 - 1)))
 
@@ -71,7 +71,7 @@ def name_of(
 
 
 def evaluate(request: Record) -> Any:
-    """Sleep, then write a record as a simulation would."""
+    """Sleep, then write a record like that of a simulation."""
     store, name = open_store(request["store"]), request["digest"]
     seconds = Durations.seconds(store, name)
     time.sleep(seconds)
@@ -86,12 +86,12 @@ def evaluate(request: Record) -> Any:
 
 
 def keep_volume(request: Record) -> str:
-    """Keep nothing."""
+    """Return the digest, without storing a volume."""
     return str(request["digest"])
 
 
 def compare(case: Record, store: str, target: str, candidate: str, score: Record) -> Record:
-    """Compare nothing."""
+    """Return no scores."""
     return {}
 
 
@@ -101,7 +101,7 @@ def level(case: Record, prepared: Record, target: str, *where: object) -> Any:
 
 
 def find(request: Record) -> Record:
-    """Find nothing."""
+    """Return no findings."""
     return {}
 
 
@@ -109,5 +109,5 @@ TASKS = Tasks(prepare, target, evaluate, name_of, keep_volume, compare, level, f
 
 
 def text_of(name: str, population: int, generations: int, *, mode: str = "barrier") -> str:
-    """Return a study file of so many evaluations."""
+    """Return a study file with a given population and number of generations."""
     return SPEC.format(name=name, population=population, generations=generations, mode=mode)

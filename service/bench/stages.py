@@ -1,11 +1,10 @@
-"""Measures time and memory of each stage, each in a process of its own.
+"""Benchmarks of the time and memory of each stage, each in a separate process.
 
-A stage first runs on a tiny body, so that compiled kernels are loaded and not
-timed, then on the size that is asked for; of the solver the fastest of three counts.
-What matters of some stages is a ratio: tangents over the solution that they belong
-to, an unknown of a large mesh over one of the mesh before, two solutions at once
-over one alone. Peak memory is that of the process; it
-includes about 0.25 GB for Python and the libraries themselves.
+A stage first runs on a tiny body, so that loading compiled kernels is not timed, then at the
+requested size; the solver reports the fastest of three runs. Some stages are reported as
+ratios: derivatives to their solution, an unknown of a large mesh to one of the mesh before,
+two concurrent solutions to one alone. Peak memory is measured for the process; it includes
+about 0.25 GB for Python and the libraries.
 """
 
 import json
@@ -36,10 +35,10 @@ from palpate.workers.tasks.body_store import BodyStore
 BREAST, SPEC = organ_named("breast"), organ_spec("breast")
 STAGES = ("phantom", "mesh", "prepare", "solve", "tangent", "tangents", "warp", "score")
 REPEATED = {"solve": 3, "tangent": 3, "tangents": 3}
-# Ten parameters whose forces are of every kind: loads, plates, stiffness, fibres.
+# Ten parameters with all kinds of forces: loads, plates, stiffness, fibres.
 TEN_OF = ("gravity_change", "plate_force", "plate_tilt", "stiffness_gradient", "fibre_rotation")
 TINY_SPACING_MM, TINY_NODES = 2.0, 1000
-# A target and a candidate near the optimum, as most are that a search looks at for long.
+# A target and a candidate near the optimum, where a search spends most of its time.
 TRUE_MPA = {"E_fat": 0.010, "E_glandular": 0.040}
 OTHER_MPA = {"E_fat": 0.0102, "E_glandular": 0.041}
 TRIVIAL_TASKS = 200
@@ -47,9 +46,9 @@ TRIVIAL_TASKS = 200
 
 @dataclass(frozen=True)
 class Row:
-    """One measurement; `peak_mb` is None where other processes do the work.
+    """One measurement; `peak_mb` is None if other processes do the work.
 
-    ``ratio`` is that of `seconds` to what `over` says.
+    ``ratio`` is `seconds` relative to the measurement named in `over`.
     """
 
     stage: str
@@ -72,7 +71,7 @@ def measure(nodes: Sequence[int], spacings_mm: Sequence[float], store: Path) -> 
     spacings_mm : sequence of float
         Voxel sizes; phantom, warp and score run at each, with the first mesh size.
     store : Path
-        What a stage needs from those before is kept here.
+        Folder in which stages keep their results for later ones.
 
     Raises
     ------
@@ -112,7 +111,7 @@ def _compared(row: Row, other: Row, stage: str, over: str) -> Row:
 
 
 def per_unknown(solve: Row, before: Row | None) -> Row:
-    """Time for each unknown, three a node, over that of the mesh `before`."""
+    """Return the time per unknown, three per node, and its ratio to the mesh `before`."""
     assert solve.nodes is not None
     seconds = solve.seconds / (3 * solve.nodes)
     row = replace(solve, stage="unknown", seconds=seconds, peak_mb=None)
@@ -122,7 +121,7 @@ def per_unknown(solve: Row, before: Row | None) -> Row:
 
 
 def scheduler_overhead(tasks: int = TRIVIAL_TASKS) -> Row:
-    """Time for each of many tasks that do nothing, on one worker."""
+    """Return the time per trivial task, on one worker."""
     with open_cluster(workers=1) as cluster:
         dispatcher = Dispatcher(cluster.client)
         list(dispatcher.run(nothing, ((i, (i,)) for i in range(10))))
@@ -142,7 +141,7 @@ def _in_process(stage: str, spacing_mm: float, nodes: int, store: Path) -> Row:
 
 
 def _in_processes(stage: str, spacing_mm: float, nodes: int, store: Path, count: int) -> list[Row]:
-    """Run the same stage in `count` processes that begin together."""
+    """Run the same stage in `count` processes that start at the same time."""
     command = [
         sys.executable,
         "-m",
@@ -168,14 +167,14 @@ def _finished(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
 
 
 class Bench:
-    """The stages of a breast of this voxel and mesh size.
+    """The stages for a breast with a given voxel and mesh size.
 
     Parameters
     ----------
     spacing_mm, nodes
         The size.
     store : Path
-        Where inputs of a stage are found, or made first.
+        Folder with the inputs of a stage, which are created if missing.
     """
 
     def __init__(self, spacing_mm: float, nodes: int, store: Path) -> None:
@@ -194,7 +193,7 @@ class Bench:
         self.nodes: int | None = None
 
     def run(self, stage: str) -> Row:
-        """Prepare what the stage needs, then time it."""
+        """Prepare the inputs of the stage, then time it."""
         work = getattr(self, f"_{stage}")()
         seconds = float("inf")
         for _ in range(REPEATED.get(stage, 1)):
@@ -276,12 +275,12 @@ class Bench:
         target = self._deformation(TRUE_MPA)()
         candidate = self._deformation(OTHER_MPA)()
         against = BREAST.scorer(target, SPEC.score())
-        against.score(candidate)  # the target's distance map is made once for all candidates
+        against.score(candidate)  # the target's distance map is computed once for all candidates
         return lambda: against.score(candidate)
 
 
 def main(stage: str, spacing_mm: str, nodes: str, store: str) -> None:
-    """Run one stage in this process and write its row."""
+    """Run one stage in this process and print its row."""
     Bench(TINY_SPACING_MM, TINY_NODES, Path(store)).run(stage)
     row = Bench(float(spacing_mm), int(nodes), Path(store)).run(stage)
     sys.stdout.write(json.dumps(asdict(row)) + "\n")

@@ -1,7 +1,7 @@
-"""Measures strategies on the same targets: evaluations and core-seconds to given errors.
+"""Benchmarks of strategies on the same targets: evaluations and core-seconds to given errors.
 
-Each target is a compressed body with constants that the search does not see. Its study runs to
-its end in one process and counts seconds on the processor; it is resumed where it was cut.
+Each target is a compressed body whose constants are hidden from the search. Its study runs to
+completion in one process and counts CPU seconds; an interrupted one is resumed.
 """
 
 import signal
@@ -25,7 +25,7 @@ from palpate.storage.records.best_candidate import BestSoFar, best_of, score_of
 from palpate.storage.records.record import EvaluationRecord
 
 STRATEGIES = ("least-squares", "genetic+least-squares", "genetic", "cma")
-# Young's moduli are the constants that a breast's image determines well.
+# Young's moduli are the constants that an image of a breast determines well.
 MODULI = ("E_fat_kpa", "E_glandular_kpa")
 NEAR = 0.02
 BOUNDS = {
@@ -34,7 +34,7 @@ BOUNDS = {
     "E_glandular_kpa": (5, 80),
     "eta_glandular_kpa": (50, 200),
 }
-# Targets lie in this part of the searched intervals, in logarithms.
+# Targets are in this part of the searched intervals, in logarithms.
 INNER = (0.1, 0.9)
 SEED, TEN = 445, 10
 
@@ -61,7 +61,7 @@ class Improvement:
     ----------
     evaluations : int
     core_s : float
-        Of these evaluations.
+        CPU time of these evaluations.
     gsf : float
     error : float
         The larger relative error of the two Young's moduli.
@@ -75,25 +75,25 @@ class Improvement:
 
 @dataclass(frozen=True)
 class Reached:
-    """What one study has reached.
+    """The outcome of one study.
 
     Parameters
     ----------
     strategy : str
     target : int
     evaluations : int
-        In all.
+        Total number of evaluations.
     core_s : float
-        Of all its evaluations.
+        CPU time of all evaluations.
     until_near : int or None
-        Evaluations until the best so far has both moduli within 2 %; None if never.
+        Evaluations until the best candidate stays within 2 % in both moduli; None if never.
     core_s_until_near : float or None
     gsf : float
-        Of the best candidate.
+        Score of the best candidate.
     errors : mapping of str to float
         Signed relative errors of the best candidate, by gene.
     within : mapping of str to bool
-        Whether the 90 % interval holds the true value, by gene.
+        Whether the 90 % interval covers the true value, by gene.
     improvements : tuple of Improvement
         Every change of the best candidate.
     """
@@ -111,9 +111,9 @@ class Reached:
 
 
 def targets(count: int) -> list[dict[str, float]]:
-    """Return the constants of targets: a Latin hypercube in the logarithms.
+    """Return the constants of the targets: a Latin hypercube in the logarithms.
 
-    Fewer than ten are the first of the ten.
+    Fewer than ten are a subset of the ten.
     """
     rng, strata = np.random.default_rng(SEED), max(count, TEN)
     found: list[dict[str, float]] = [{} for _ in range(strata)]
@@ -126,7 +126,7 @@ def targets(count: int) -> list[dict[str, float]]:
 
 
 class OneCore(SingleProcess):
-    """Has evaluations say their seconds on the processor, which others' work does not lengthen."""
+    """A single process that reports CPU seconds, which other processes do not lengthen."""
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
         """Run tasks that may fail, see `SingleProcess.run`."""
@@ -137,7 +137,7 @@ class OneCore(SingleProcess):
 
 
 def _with_seconds(ending: Ending, core_s: float) -> Ending:
-    """Let the stages of an evaluation that was made now take so many seconds together."""
+    """Scale the stages of an evaluation computed now to a total of `core_s`."""
     value = ending.value
     if not isinstance(value, Mapping) or value.get("reused") or not value.get("seconds"):
         return ending
@@ -149,16 +149,16 @@ def _with_seconds(ending: Ending, core_s: float) -> Ending:
 
 @dataclass(frozen=True)
 class Bench:
-    """How large the bench is.
+    """The size of the benchmark.
 
     Parameters
     ----------
     targets : int
     nodes : int
-        Of the candidates' mesh.
+        Nodes of the candidates' mesh.
     spacing_mm : float
     target_nodes : int or None
-        Of the target's own mesh; None where target and candidates share one.
+        Nodes of a separate mesh for the target; None if target and candidates share one.
     """
 
     targets: int = 10
@@ -188,24 +188,24 @@ def study_of(strategy: str, target: int, constants: Mapping[str, float], bench: 
 def measure(
     folder: Path, strategies: Sequence[str], bench: Bench, processes: int = 1
 ) -> Iterator[Reached]:
-    """Run the studies that have not ended yet, and yield what each has reached.
+    """Run the studies that have not ended yet, and yield the outcome of each.
 
     Parameters
     ----------
     folder : Path
-        Of the studies; what is there is continued.
+        Folder of the studies; existing ones are continued.
     strategies : sequence of str
     bench : Bench
     processes : int
-        So many studies at a time, each on one core.
+        Number of concurrent studies, each on one core.
     """
     each = [
         (folder, strategy, number, constants, bench)
         for number, constants in enumerate(targets(bench.targets))
         for strategy in strategies
     ]
-    # Processes of their own even for one at a time: libraries in them use one thread.
-    # Ctrl-C ends them at once, and the journals are kept.
+    # Separate processes even for one study, since their libraries then use one thread.
+    # Ctrl-C ends them immediately; the journals are kept.
     at_ctrl_c = (signal.SIGINT, signal.SIG_DFL)
     with ProcessPoolExecutor(
         processes, get_context("spawn"), initializer=signal.signal, initargs=at_ctrl_c
@@ -226,11 +226,11 @@ def _measure_one(
 
 
 def reached(home: Path, strategy: str, target: int, constants: Mapping[str, float]) -> Reached:
-    """Read from the journal of a study what it has reached."""
+    """Return the outcome of a study from its journal."""
     log, results = StudyLog.read(StudyLayout(home).journal), study_results(home)
     best = best_of(log.endings)
     if best is None:
-        raise AssertionError("a target of the bench can be simulated")
+        raise AssertionError("every target of the benchmark can be simulated")
     order = [log.endings[c] for c in sorted(log.endings)]
     improvements = _improvements(order, constants)
     near = near_from(improvements)
@@ -273,7 +273,7 @@ def _improvements(
 
 
 def near_from(improvements: Sequence[Improvement]) -> Improvement | None:
-    """Return that from which the best candidate stays near in both moduli."""
+    """Return the improvement after which the best candidate stays near in both moduli."""
     near = None
     for one in improvements:
         if one.error > NEAR:
@@ -288,7 +288,7 @@ def _seconds(records: Sequence[EvaluationRecord]) -> float:
 
 
 def _population(strategy: str) -> str:
-    """Return the settings of the genetic part: the thesis' own, or a few generations of it."""
+    """Return the settings of the genetic stage: the thesis' own, or only a few generations."""
     if strategy == "genetic":
         return "population: 84\n  generations: 15"
     return "population: 24\n  generations: 3"

@@ -1,4 +1,4 @@
-"""Draws how strategies approach their targets: score and error over evaluations and seconds."""
+"""Chart of the convergence of strategies: score and error over evaluations and seconds."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,17 +23,17 @@ COLOURS = {
     "genetic": ORANGE,
     "cma": "#cc79a7",
 }
-# Below this the errors are those of rounding and of the voxels.
+# Smaller errors are due to rounding and to the voxels.
 LEAST_ERROR = 1e-5
 
 
 def write_chart(rows: Sequence[Reached], path: Path) -> None:
-    """Write the drawing as a file of its own, on white."""
+    """Write the chart to a separate file, on white."""
     write_file(path, svg(strategy_chart(rows)).encode())
 
 
 def strategy_chart(rows: Sequence[Reached]) -> "Figure":
-    """Draw every study as a thin line and the median of a strategy as a thick one."""
+    """Draw each study as a thin line and each strategy's median as a thick one."""
     drawn = figure(WIDTH_IN, HEIGHT_IN)
     drawn.set_facecolor("white")
     grid = drawn.subplots(2, 2, sharex="col", sharey="row", squeeze=False)
@@ -72,7 +72,7 @@ def _curves(
     colour: str,
     title: str,
 ) -> None:
-    """Draw one strategy: a study keeps its last value when it has ended."""
+    """Draw one strategy; a study keeps its last value after its end."""
     curves = []
     for improvements in studies:
         x = np.array([getattr(one, over) for one in improvements])
@@ -80,7 +80,7 @@ def _curves(
                       for one in improvements])  # fmt: skip
         axes.step(x, y, where="post", color=colour, linewidth=0.6, alpha=0.4)
         curves.append((x, y))
-    # A median from where every study has a candidate.
+    # The median starts where every study has a candidate.
     first = max(x[0] for x, _ in curves)
     places = np.unique(np.concatenate([x for x, _ in curves] + [np.array([first])]))
     places = places[places >= first]

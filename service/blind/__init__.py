@@ -1,1 +1,1 @@
-"""Makes, seals, diagnoses and scores cases whose cause the diagnosis cannot know."""
+"""Blind sets: cases with a sealed cause are made, diagnosed and scored."""

@@ -1,11 +1,11 @@
-"""Lets the number of workers of a cluster follow the work.
+"""Adaptive scaling: the number of workers of a cluster follows the work.
 
-A worker is wanted for each task on the cluster. A dispatcher sends two for each worker
-(`cluster.slots`), so while there is more to do their number doubles until the most is reached.
-Workers that have not been wanted for `IDLE_S` are retired, idle ones only: the end of a
-generation, when few candidates are left, does not cost workers that the next one needs.
+One worker is wanted for each task on the cluster. A dispatcher sends two tasks for each worker
+(`cluster.slots`), so the number of workers doubles until the maximum is reached or the work
+runs out. Only workers idle for `IDLE_S` are retired, so the end of a generation, when few
+candidates are left, does not cost workers that the next generation needs.
 
-Dask's own estimate goes by the seconds of work that are waiting, which here are never many.
+Dask's own estimate uses the seconds of work in the queue, which are always few here.
 """
 
 from collections import deque
@@ -20,13 +20,13 @@ IDLE_S = 60.0
 
 
 class FollowTheWork(Adaptive):
-    """Scales a cluster whose scheduler runs in this process; see the top of this file.
+    """Scaling of a cluster whose scheduler runs in this process; see the module docstring.
 
     Parameters
     ----------
     *arguments, **options
-        As Dask's own takes them; of them ``wait_count`` says for how many checks a worker must
-        not have been wanted.
+        As for Dask's ``Adaptive``; ``wait_count`` is the number of checks for which a worker
+        must have been superfluous.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -34,18 +34,18 @@ class FollowTheWork(Adaptive):
         self._targets: deque[int] = deque(maxlen=self.wait_count)
 
     async def target(self) -> int:
-        """Return how many tasks run or wait for a worker."""
+        """Return the number of tasks that run or wait for a worker."""
         scheduler = self.cluster.scheduler
         on_workers = sum(len(worker.processing) for worker in scheduler.workers.values())
         return on_workers + len(scheduler.queued) + len(scheduler.unrunnable)
 
     async def recommendations(self, target: int) -> dict[str, Any]:
-        """Return what is to be done, as Dask's own says it.
+        """Return the next scaling step, in Dask's format.
 
         Parameters
         ----------
         target : int
-            Workers that are wanted now, within the bounds.
+            Number of workers wanted now, within the bounds.
         """
         planned = set(self.plan)
         self._targets.append(target)
@@ -63,7 +63,7 @@ class FollowTheWork(Adaptive):
 
 
 def follow_the_work(cluster: Any, workers: WorkerRange) -> None:
-    """Let a cluster of Dask grow and shrink within a range, until it is closed."""
+    """Let a Dask cluster grow and shrink within a range until it is closed."""
     cluster.adapt(
         Adaptive=FollowTheWork,
         minimum=workers.least,

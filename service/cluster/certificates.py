@@ -1,16 +1,16 @@
-"""Makes the certificates with which scheduler, workers and clients of a cluster know each other.
+"""Certificates for mutual authentication of scheduler, workers and clients.
 
 ::
 
-    ca.pem                      signs the others; every machine has it
-    ca.key                      stays with whoever runs the cluster
+    ca.pem                      signs the others; needed on every machine
+    ca.key                      kept by whoever runs the cluster
     scheduler.pem, .key         for the scheduler
     worker.pem, .key            for all workers and their nannies
-    client.pem, .key            for who may submit
-    dask.yaml                   the same as the variables of `environment`
+    client.pem, .key            for those who may submit
+    dask.yaml                   equivalent to the variables of `environment`
 
-Dask accepts whoever has a certificate that the CA has signed and looks at no host name, so
-certificates may be used on any machine: whoever has a key and can reach the port can run code.
+Dask accepts any certificate signed by the CA and does not check host names, so certificates
+work on any machine: whoever has a key and can reach the port can run code.
 """
 
 import os
@@ -40,13 +40,13 @@ class Certificates:
     Parameters
     ----------
     folder : Path
-        Absolute.
+        An absolute path.
     """
 
     folder: Path
 
     def environment(self) -> dict[str, str]:
-        """Return the variables that make Dask use them, in any of the roles."""
+        """Return the environment variables that make Dask use them, in any role."""
         found = {
             "DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION": "True",
             "DASK_DISTRIBUTED__COMM__TLS__CA_FILE": str(self.folder / "ca.pem"),
@@ -58,7 +58,7 @@ class Certificates:
         return found
 
     def as_yaml(self) -> str:
-        """Return the same as a configuration file of Dask."""
+        """Return the equivalent Dask configuration file."""
         tls: dict[str, object] = {"ca-file": str(self.folder / "ca.pem")}
         for role in ROLES:
             tls[role] = {
@@ -70,27 +70,27 @@ class Certificates:
 
 
 def make_certificates(folder: Path, days: int = 365) -> Certificates:
-    """Make a CA and one certificate for each role; keys can be read by their owner only.
+    """Create a CA and one certificate for each role; keys are readable by their owner only.
 
     Parameters
     ----------
     folder : Path
-        Made; must be missing or empty.
+        Created; must be missing or empty.
     days : int
-        How long they are valid.
+        Validity of the certificates.
 
     Raises
     ------
     InputError
-        If the folder has something in it.
+        If the folder is not empty.
     StoreError
-        If it cannot be written.
+        If the folder cannot be written.
     """
     folder = folder.expanduser().absolute()
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(
-            f"{folder} is there and not empty: certificates are never replaced. Give another "
-            "folder, or remove this one; then every process of the cluster needs the new ones."
+            f"{folder} exists and is not empty: certificates are never replaced. Give another "
+            "folder, or remove this one; every process of the cluster then needs the new ones."
         )
     from cryptography.hazmat.primitives.asymmetric import ec
 
@@ -110,9 +110,9 @@ def make_certificates(folder: Path, days: int = 365) -> Certificates:
 
 
 def temporary_security() -> "Security":
-    """Return certificates in memory, for a cluster that begins and ends with this process.
+    """Return certificates in memory, for a cluster that lives as long as this process.
 
-    As ``distributed.Security.temporary``, with an elliptic curve, which takes milliseconds.
+    Like ``distributed.Security.temporary``, but with an elliptic curve, which takes milliseconds.
     """
     from cryptography.hazmat.primitives import serialization
     from cryptography.hazmat.primitives.asymmetric import ec
@@ -143,7 +143,7 @@ def _signed(
     issuer_key: "EllipticCurvePrivateKey",
     days: int,
 ) -> "x509.Certificate":
-    """Return a certificate (RFC 5280); without an issuer, that of the CA itself."""
+    """Return a certificate (RFC 5280), self-signed for a CA if there is no issuer."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID

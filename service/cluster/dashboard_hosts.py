@@ -1,7 +1,7 @@
-"""Keeps Dask's dashboard from answering under names that are not this machine's.
+"""Protection of Dask's dashboard against requests under other host names.
 
-A page of another site can give its own name the address of this machine (DNS rebinding) and
-read whatever answers there. What it cannot do is send another Host header.
+A page of another site can point its own name at this machine (DNS rebinding) and read the
+replies. It cannot, however, forge the Host header.
 """
 
 from collections.abc import Iterable
@@ -23,13 +23,13 @@ REFUSAL = b"This dashboard answers to localhost only.\n"
 
 
 def answer_to_own_hosts(scheduler: Scheduler, hosts: Iterable[str] = OWN) -> None:
-    """Let the HTTP server of a scheduler refuse requests for other hosts."""
+    """Make the HTTP server of a scheduler refuse requests for other hosts."""
     server: Any = scheduler.http_server
     server.request_callback = _OwnHosts(server.request_callback, frozenset(hosts))
 
 
 class _OwnHosts(HTTPServerConnectionDelegate):
-    """Passes requests on to another delegate, if they are for one of some hosts."""
+    """A delegate that passes on requests for allowed hosts only."""
 
     def __init__(self, inner: HTTPServerConnectionDelegate, hosts: frozenset[str]) -> None:
         self.inner, self.hosts = inner, hosts

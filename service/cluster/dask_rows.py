@@ -1,4 +1,4 @@
-"""Sums up what the tab of `service.cluster.dask_tab` shows of one study and of one diagnosis."""
+"""Rows of the tab of `service.cluster.dask_tab`: one study, one diagnosis."""
 
 import math
 import time
@@ -7,19 +7,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-# Of the scheduler's events that hold records of studies.
+# Topics of the scheduler's events that contain records of studies.
 TOPIC = "palpate"
 
 MOST_GENERATIONS = 200
 
 
 class IdleTime:
-    """Integrates the time in which threads of workers have no task.
+    """The accumulated time during which worker threads have no task.
 
     Parameters
     ----------
     clock : callable
-        In seconds.
+        Returns the time in seconds.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -29,13 +29,13 @@ class IdleTime:
         self._idle_s = self._all_s = 0.0
 
     def note(self, tasks_and_threads: list[tuple[int, int]]) -> None:
-        """Note the tasks that each worker has from now on, and its threads."""
+        """Record the current tasks and threads of each worker."""
         self.so_far()
         self._threads = sum(threads for _, threads in tasks_and_threads)
         self._busy = sum(min(pair) for pair in tasks_and_threads)
 
     def so_far(self) -> tuple[float, float]:
-        """Return idle seconds and all seconds, summed over threads."""
+        """Return idle seconds and total seconds, summed over threads."""
         now = self._clock()
         passed, self._since = now - self._since, now
         self._idle_s += passed * (self._threads - self._busy)
@@ -45,29 +45,29 @@ class IdleTime:
 
 @dataclass
 class StudyRow:
-    """What the tab shows of one study.
+    """One study in the tab.
 
     Parameters
     ----------
     name : str
     most : int
-        Evaluations, if the search runs to its last generation.
+        Number of evaluations if the search runs to its last generation.
     client : str
-        Who runs it.
+        The client that runs the study.
     state : str
-        In words.
+        The state as text.
     best_score : float
-        Score of the best candidate so far, lower is better; infinite while there is none.
+        Score of the best candidate so far, lower is better; infinite before the first.
     endings : Counter of str
-        Evaluations by their ending.
+        Number of evaluations by ending.
     stages : Counter of str
-        Seconds by stage, of what was computed in this run.
+        Seconds by stage, of evaluations computed in this run.
     generations : deque of (int, float)
-        Number from 1, and share of the workers' time without a task until its barrier.
+        Number, from 1, and share of the workers' time without a task up to its barrier.
     begun : tuple of float
-        Idle and all seconds when the generation began.
+        Idle and total seconds at the start of the generation.
     computed : bool
-        Whether the generation had anything to compute; one that is known says nothing of barriers.
+        Whether anything of the generation was computed; if not, it has no idle time to report.
     """
 
     name: str
@@ -84,7 +84,7 @@ class StudyRow:
     computed: bool = False
 
     def add(self, record: dict[str, Any], idle: IdleTime) -> None:
-        """Take in one record of `service.study.observers.dask_records.DaskRecords`."""
+        """Add one record of `service.study.observers.dask_records.DaskRecords`."""
         what = record["what"]
         if what == "ended":
             self.endings[record["status"]] += 1
@@ -107,21 +107,21 @@ class StudyRow:
 
 @dataclass
 class DiagnosisRow:
-    """What the tab shows of one diagnosis.
+    """One diagnosis in the tab.
 
     Parameters
     ----------
     name : str
     client : str
-        Who runs it.
+        The client that runs the diagnosis.
     state : str
-        In words: the phase and how far it is, in the end the verdict.
+        As text: the phase and its progress, finally the verdict.
     tasks : int
-        That have ended.
+        Number of finished tasks.
     begun : tuple of float
-        Idle and all seconds of the workers when it began.
+        Idle and total seconds of the workers at the start.
     idle : float or None
-        Share of the workers' time without a task since then; None while nothing is known.
+        Share of the workers' time without a task since then; None if unknown.
     """
 
     name: str
@@ -132,7 +132,7 @@ class DiagnosisRow:
     idle: float | None = None
 
     def add(self, record: dict[str, Any], idle: IdleTime) -> None:
-        """Take in one record of `service.diagnosis.dask_observer.DiagnosisRecords`."""
+        """Add one record of `service.diagnosis.dask_observer.DiagnosisRecords`."""
         if record["what"] == "step":
             done, of, task = record["done"], record["of"], record["task"]
             self.tasks += done > 0

@@ -1,9 +1,9 @@
-"""Adds a tab to the dashboard of Dask's scheduler: studies, diagnoses, idle time, stages.
+"""A tab in Dask's dashboard: studies, diagnoses, idle time, stages.
 
 `add_tab` registers a plugin, which sums up the records of `study.observers.dask_records` and
 `diagnosis.dask_observer` in the scheduler's process and adds the page ``/palpate`` to its server.
-Dask has no public way to add a page: where a version has other insides, or a scheduler takes no
-plugins, there is no tab.
+Dask has no public interface for adding a page: if the internals of a version differ, or a
+scheduler does not accept plugins, there is no tab.
 """
 
 import logging
@@ -27,29 +27,29 @@ _log = logging.getLogger(__name__)
 
 
 def add_tab(client: Client) -> bool:
-    """Add the tab to the scheduler of a client, unless it has it.
+    """Add the tab to a client's scheduler, unless it is there already.
 
     Returns
     -------
     bool
-        False if that was not possible; the log says why.
+        False if that was not possible; the reason is logged.
     """
     try:
         client.register_plugin(PalpateTab())
-    except Exception as error:  # whatever another version of Dask raises
+    except Exception as error:  # another version of Dask may raise anything
         _log.info("The dashboard of Dask has no tab of Palpate: %r", error)
         return False
     return True
 
 
 class PalpateTab(SchedulerPlugin):
-    """Sums up records of studies and diagnoses in the scheduler's process, and shows them."""
+    """A plugin that sums up and displays studies and diagnoses in the scheduler's process."""
 
     name = "palpate-tab"
     idempotent = True
 
     async def start(self, scheduler: Scheduler) -> None:
-        """Begin to sum up, and add the page; Dask calls this when the plugin is registered."""
+        """Start collecting records and add the page; Dask calls this on registration."""
         self._scheduler = scheduler
         self.studies: dict[str, StudyRow] = {}
         self.diagnoses: dict[str, DiagnosisRow] = {}
@@ -58,7 +58,7 @@ class PalpateTab(SchedulerPlugin):
         _add_page(self, scheduler)
 
     def log_event(self, topic: str, msg: Any) -> None:
-        """Take in the records of a study or a diagnosis."""
+        """Add the records of a study or a diagnosis."""
         if topic != TOPIC:
             return
         for record in msg["records"]:
@@ -81,20 +81,20 @@ class PalpateTab(SchedulerPlugin):
             self.diagnoses[key].add(record, self.idle)
 
     def transition(self, key: str, start: str, finish: str, *args: Any, **more: Any) -> None:
-        """Count the workers that have a task."""
+        """Update the number of busy workers."""
         if "processing" in (start, finish):
             self._note_workers()
 
     def add_worker(self, scheduler: Scheduler, worker: str) -> None:
-        """Count the workers."""
+        """Update the number of workers."""
         self._note_workers()
 
     def remove_worker(self, scheduler: Scheduler, worker: str, **more: Any) -> None:
-        """Count the workers."""
+        """Update the number of workers."""
         self._note_workers()
 
     def remove_client(self, scheduler: Scheduler, client: str) -> None:
-        """Note that nobody runs what a client ran any more."""
+        """Mark everything that a client was running as stopped."""
         rows: list[StudyRow | DiagnosisRow] = [*self.studies.values(), *self.diagnoses.values()]
         for row in rows:
             if row.client == client:
@@ -106,7 +106,7 @@ class PalpateTab(SchedulerPlugin):
 
 
 def _put_last(rows: dict[str, Row], key: str, row: Row) -> None:
-    """Put a row at the end, which is shown first, and forget the oldest of too many."""
+    """Append a row, which is shown first, and drop the oldest of too many."""
     rows.pop(key, None)
     rows[key] = row
     if len(rows) > MOST_ROWS:
@@ -114,14 +114,14 @@ def _put_last(rows: dict[str, Row], key: str, row: Row) -> None:
 
 
 def _add_page(tab: PalpateTab, scheduler: Scheduler) -> None:
-    """Add ``/palpate`` and its tab to a scheduler that runs already.
+    """Add ``/palpate`` and its tab to a running scheduler.
 
     Raises
     ------
     RuntimeError
         If the scheduler has no dashboard.
     ImportError, AttributeError, KeyError
-        If Dask's insides, which no documentation promises, are others.
+        If Dask's undocumented internals differ.
     """
     from distributed.dashboard.components.scheduler import BOKEH_THEME, env
     from distributed.dashboard.core import BokehApplication
@@ -140,13 +140,13 @@ def _add_page(tab: PalpateTab, scheduler: Scheduler) -> None:
     page.initialize(IOLoop.current())
     page.start()
     if PAGE not in variables["pages"]:
-        variables["pages"].append(PAGE)  # one list for the navigation of all pages
+        variables["pages"].append(PAGE)  # the list is shared by the navigation of all pages
 
 
 def _document(
     tab: PalpateTab, look: dict[str, Any], scheduler: Scheduler, variables: dict[str, Any], doc: Any
 ) -> None:
-    """Fill the document of somebody who opens the page, and renew it every `RENEW_MS`."""
+    """Fill the document of a visitor, and refresh it every `RENEW_MS`."""
     from bokeh.layouts import column
     from bokeh.models import ColumnDataSource
 
@@ -171,7 +171,7 @@ def _document(
 
 
 def columns(tab: PalpateTab) -> dict[str, dict[str, list[Any]]]:
-    """Return the columns of the tables that the page shows; what was begun last comes first."""
+    """Return the columns of the page's tables; the latest rows come first."""
     studies = list(reversed(tab.studies.values()))
     diagnoses = list(reversed(tab.diagnoses.values()))
     shown = studies[0] if studies else StudyRow("", 0, "")
@@ -216,7 +216,7 @@ def _table(source: Any) -> Any:
 
 
 def _rows(data: Mapping[str, Any]) -> str:
-    """Write a table as HTML: bokeh's own does not redraw rows whose number stays."""
+    """Return a table as HTML; bokeh's own table does not redraw if the row count is unchanged."""
     titles = {"most": "at most", "best": "best score", "idle": "mean idle"}
     lines = [[titles.get(name, name) for name in data], *zip(*data.values(), strict=True)]
     cell = '<td style="padding: 2px 14px 2px 4px">{}</td>'
@@ -228,7 +228,7 @@ def _barrier(source: Any) -> Any:
     from bokeh.models import DataRange1d
     from bokeh.plotting import figure
 
-    title = "Generations of the study begun last: workers' time without a task, until the barrier"
+    title = "Generations of the latest study: workers' time without a task, up to the barrier"
     plot = figure(
         title=title,
         y_range=DataRange1d(start=0.0),

@@ -1,19 +1,18 @@
-"""Sends tasks to a Dask cluster and gives back their endings.
+"""Dispatch of tasks to a Dask cluster.
 
-A future is released as soon as its ending has been dealt with: `Dispatcher.run`
-yields an ending and releases the future when it is asked for the next one. What
-a worker finished is then never run again because some other worker died.
-
-How a submission ends::
+A future is released as soon as its ending has been processed: `Dispatcher.run` yields an
+ending and releases the future when the next one is requested. Completed work is therefore
+never repeated because another worker died.
+Endings of a submission::
 
     finished                          returned, with the record of the task
     raised                            crashed, with the traceback of the worker
-    the worker died, once too often   submitted again, `max_attempts` times in all, at last
-                                      alone; then lost
-    the scheduler forgot it           submitted again, as often as it takes
+    the worker died too often         submitted again, `max_attempts` times in all, the last
+                                      time alone; then lost
+    forgotten by the scheduler        submitted again, any number of times
 
-An error of the store (a full disk, another version) is no verdict on a candidate:
-it is raised here and stops the study.
+An error of the store (a full disk, another version) says nothing about the candidate: it is
+raised here and stops the study.
 """
 
 import queue
@@ -49,7 +48,7 @@ from palpate.storage.errors import PalpateError
 __all__ = ["NOT_YET", "Dispatcher", "Ending", "TaskCalls", "TaskRunner", "value_of"]
 
 Task = Callable[..., Any]
-"""A function that workers can import: small arguments, a small record back."""
+"""A function that workers can import; its arguments and its record are small."""
 Returned = TypeVar("Returned")
 
 TICK_S = 0.25
@@ -59,24 +58,24 @@ COUNT_EVERY_S = 1.0
 
 @dataclass(frozen=True)
 class Ending:
-    """How a task ended.
+    """The ending of a task.
 
     Parameters
     ----------
     key : hashable
-        As given to `Dispatcher.run`.
+        The key given to `Dispatcher.run`.
     kind : {"returned", "crashed", "lost"}
-        See the top of this file.
+        See the module docstring.
     value : object
         The record that the task returned; None unless returned.
     error : Exception or None
-        What it raised.
+        The exception raised by the task.
     reason : str
         Why there is no value; empty if there is one.
     traceback : str
-        On the worker; empty unless crashed.
+        Traceback on the worker; empty unless crashed.
     attempts : int
-        How often it was submitted.
+        Number of submissions.
     """
 
     key: Any
@@ -89,11 +88,11 @@ class Ending:
 
 
 class TaskRunner(Protocol):
-    """Runs tasks: a `Dispatcher`, or this process; see `service.cluster.single_process`."""
+    """A runner of tasks: a `Dispatcher`, or this process; see `service.cluster.single_process`."""
 
     @property
     def threads(self) -> int:
-        """Return how many tasks can run at once."""
+        """Return the number of tasks that can run at once."""
 
     def call(self, task: Callable[..., Returned], *arguments: Any) -> Returned:
         """See `Dispatcher.call`."""
@@ -112,25 +111,25 @@ _Arrived = queue.SimpleQueue[Submission]
 
 
 class Dispatcher:
-    """A bounded number of tasks in flight, and a deadline on every wait.
+    """A dispatcher that bounds the tasks in flight and sets a deadline for every wait.
 
     Parameters
     ----------
     client : distributed.Client
-        Connected to the scheduler.
+        A client connected to the scheduler.
     max_attempts : int
-        How often a task is submitted whose workers die, before it is lost. (The
-        scheduler itself already tries again; see `service.cluster.open`.)
+        Number of submissions of a task whose workers die, before it is lost. (The
+        scheduler itself retries, too; see `service.cluster.open`.)
     no_worker_s : float
-        How long to wait while there is no worker.
+        Longest wait without any worker.
     no_ending_s : float
-        How long to wait while there are workers but no task ends.
+        Longest wait without an ending while there are workers.
     stop : callable
         Called between waits; True ends the run with `Interrupted`.
     slots : Slots, optional
-        How many tasks it may have on the cluster; by default as if nobody else used it.
+        The number of tasks it may have on the cluster; by default all of the cluster.
     priority : int
-        Of its tasks among those that wait for a worker; higher ones run first.
+        Priority of its tasks in the queue; higher ones run first.
     """
 
     def __init__(
@@ -156,7 +155,7 @@ class Dispatcher:
 
     @property
     def threads(self) -> int:
-        """Return how many tasks can run at once, counted anew every `COUNT_EVERY_S`."""
+        """Return the number of tasks that can run at once, updated every `COUNT_EVERY_S`."""
         now = time.monotonic()
         if now - self._counted >= COUNT_EVERY_S:
             self._threads = sum(self._threads_by_worker().values())
@@ -169,11 +168,11 @@ class Dispatcher:
         Raises
         ------
         PalpateError
-            As the task raised it; `TaskError` for any other exception.
+            If raised by the task; `TaskError` for any other exception.
         ClusterError
-            If its workers die again and again, or there are none.
+            If its workers die repeatedly, or there are none.
         Interrupted
-            If the study is told to stop.
+            If the study is stopped.
         """
         (record,) = self.all(task, [(task.__name__, arguments)])
         return record
@@ -184,25 +183,25 @@ class Dispatcher:
         Raises
         ------
         PalpateError, ClusterError, Interrupted
-            As `call`.
+            As for `call`.
         """
         return [value_of(ending, task.__name__) for ending in self.run(task, calls)]
 
     def everywhere(self, task: Callable[..., Returned], *arguments: Any) -> dict[str, Returned]:
-        """Run one task on each worker that is there now and return its records by address."""
+        """Run one task on each current worker and return the records by worker address."""
         found: dict[str, Returned] = self.client.run(task, *arguments)
         return found
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
-        """Send tasks, yield their endings as they arrive.
+        """Send tasks and yield their endings as they arrive.
 
         Parameters
         ----------
         task : callable
-            Importable by the workers; small arguments, a small record back.
+            Importable by the workers; its arguments and its record are small.
         calls : iterable of (key, arguments)
-            Read only as fast as tasks end. `NOT_YET` stands for one that has to wait for an
-            ending; there must be a task under way then.
+            Read only as fast as tasks end. `NOT_YET` marks a call that has to wait for an
+            ending; another task must be running then.
 
         Raises
         ------
@@ -211,12 +210,12 @@ class Dispatcher:
         StoreError
             If a worker cannot use the store.
         Interrupted
-            If the study is told to stop.
+            If the study is stopped.
         """
         arrived: _Arrived = queue.SimpleQueue()
         waiting, patience = WaitingCalls(calls), Patience()
         in_flight: dict[int, Submission] = {}
-        suspects: list[Submission] = []  # have one attempt left, and nothing else runs meanwhile
+        suspects: list[Submission] = []  # have one attempt left, and run alone
         try:
             while True:
                 for submission in self._to_send(waiting, suspects, in_flight):
@@ -230,7 +229,7 @@ class Dispatcher:
                 ending = self._ending(arrival)
                 if ending is not None:
                     yield ending
-                    # Whoever asks for the next ending has written this one down.
+                    # The caller has saved this ending before requesting the next one.
                     self._leave(in_flight, arrival)
                     continue
                 self._release(arrival)
@@ -246,9 +245,9 @@ class Dispatcher:
     def _to_send(
         self, waiting: WaitingCalls, suspects: list[Submission], in_flight: dict[int, Submission]
     ) -> Iterator[Submission]:
-        """Yield what can be sent now; whatever kills its workers goes last and alone.
+        """Yield the submissions that can be sent now; those that kill workers go last and alone.
 
-        If a worker dies, the task that waited behind another one is submitted again.
+        If a worker dies, the task queued behind another one on it is submitted again.
         """
         while waiting.ready and self.slots.take(self.threads):
             yield waiting.pop()
@@ -262,7 +261,7 @@ class Dispatcher:
 
     def _send(self, task: Task, submission: Submission, arrived: _Arrived) -> None:
         submission.attempts += 1
-        # The key is new every time: Dask remembers the end of a key for a while.
+        # The key is always new: Dask remembers the outcome of a key for a while.
         key = f"{task.__name__}-{uuid4().hex}"
         with as_cluster_error():
             submission.future = self.client.submit(
@@ -271,7 +270,7 @@ class Dispatcher:
         submission.future.add_done_callback(lambda _: arrived.put(submission))
 
     def _release(self, submission: Submission) -> None:
-        """Let the scheduler forget a task; one that has not started will not start."""
+        """Make the scheduler forget a task; one that has not started will not start."""
         if submission.future is not None:
             with suppress(Exception):
                 submission.future.release()
@@ -280,7 +279,7 @@ class Dispatcher:
     def _wait(
         self, arrived: _Arrived, patience: Patience, waiting: bool, in_flight: bool
     ) -> Submission | None:
-        """Return what arrives next; None after a moment, for a slot may have become free."""
+        """Return the next arrival; None after a moment, since a slot may have become free."""
         if self.stop():
             raise Interrupted
         with suppress(queue.Empty):
@@ -291,7 +290,7 @@ class Dispatcher:
         if self.threads:
             patience.worked = now
         if not in_flight:
-            patience.ended = now  # others have all the slots
+            patience.ended = now  # other dispatchers have all the slots
         self._check_deadlines(now - patience.ended, now - patience.worked)
         return None
 
@@ -301,7 +300,7 @@ class Dispatcher:
             raise ClusterError(
                 f"There has been no worker at {address} for {without_worker_s:.0f} s. Start one "
                 f"with `dask worker {address} --nthreads 1`, or use the workers of this machine. "
-                "What is finished is kept: run the same command again to continue."
+                "Completed work is kept: run the same command again to continue."
             )
         if waited_s > self.no_ending_s:
             raise ClusterError(
@@ -319,10 +318,10 @@ class Dispatcher:
             return dict(self.client.nthreads())
 
     def _ending(self, submission: Submission) -> Ending | None:
-        """Return the ending of a task that has arrived; None if it is to be submitted again."""
+        """Return the ending of a task that has arrived; None if it must be submitted again."""
         future: Future = submission.future
         if future is None or future.status in ("cancelled", "lost"):
-            # The scheduler was restarted or the connection broke; no worker is to blame.
+            # The scheduler was restarted or the connection broke; this is not the task's fault.
             submission.attempts -= 1
             self._outlast_disconnection()
             return None
@@ -339,7 +338,7 @@ class Dispatcher:
         else:
             return Ending(submission.key, "returned", value, attempts=submission.attempts)
         if future.status != "error":
-            # The result was on a worker that is gone: submit again, the store has it.
+            # The result was on a worker that is gone: submit again, it is in the store.
             if submission.attempts < self.max_attempts:
                 return None
             return Ending(
@@ -347,7 +346,7 @@ class Dispatcher:
             )
         raise_if_store(error)
         raise_if_foreign(error)
-        trace = future.traceback(timeout=60.0)  # of the worker, without our own frames
+        trace = future.traceback(timeout=60.0)  # on the worker, without frames of this process
         text = "".join(traceback.format_exception(type(error), error, trace))
         return Ending(
             submission.key, "crashed", None, error, sentence(error), text, submission.attempts
@@ -372,16 +371,16 @@ def value_of(ending: Ending, what: str) -> Any:
     ----------
     ending : Ending
     what : str
-        The task as a message calls it.
+        Name of the task in messages.
 
     Raises
     ------
     PalpateError
-        As the task raised it.
+        If raised by the task.
     ClusterError
         If the task was lost.
     TaskError
-        If it raised anything else; with the traceback of the worker.
+        If the task raised any other exception; with the traceback of the worker.
     """
     if ending.kind == "returned":
         return ending.value
@@ -390,7 +389,7 @@ def value_of(ending: Ending, what: str) -> Any:
     if ending.kind == "lost":
         raise ClusterError(
             f"{what} was lost: {ending.reason}. Give the workers more memory, or start fewer with "
-            "--workers, and run the same command again: what is finished is kept."
+            "--workers, and run the same command again: completed work is kept."
         )
     raise TaskError(
         f"{what} failed: {ending.reason}.\n{ending.traceback}".rstrip()

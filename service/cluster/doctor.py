@@ -1,4 +1,4 @@
-"""Looks for what would spoil a run: mixed code, an unusable store, no room."""
+"""Checks for problems that would spoil a run: mixed code, an unusable store, a full disk."""
 
 import os
 import platform
@@ -25,10 +25,11 @@ Checked = TypeVar("Checked")
 
 
 class ProcessFacts(TypedDict):
-    """What one process imports, from where, and what it may use.
+    """Imports and resources of one process.
 
-    ``packages`` are the folders of ours by name, ``source`` is the digest of all their code,
-    ``code`` of what results depend on; ``plugins`` are those of other distributions.
+    ``packages`` are the folders of Palpate's packages by name, ``source`` is the digest of all
+    their code, ``code`` that of the part on which results depend; ``plugins`` are from other
+    distributions.
     """
 
     host: str
@@ -45,17 +46,17 @@ class ProcessFacts(TypedDict):
 
 
 class KernelFacts(TypedDict):
-    """The compiler that was tried, and its threads."""
+    """The compiler that was tested, and its threads."""
 
     numba: str
     threads: int
 
 
 class StoreFacts(TypedDict):
-    """The store that was tried; ``free_bytes`` is None in a bucket.
+    """The store that was tested; ``free_bytes`` is None in a bucket.
 
-    ``takes_once`` says whether of two processes that create one name the second is refused: by a
-    file system always, by an object store if it honours If-None-Match.
+    ``takes_once`` is true if only one of two processes can create a given name: always in a file
+    system, and in an object store if it honours If-None-Match.
     """
 
     root: str
@@ -65,20 +66,20 @@ class StoreFacts(TypedDict):
 
 @dataclass(frozen=True)
 class Examination:
-    """What the doctor has found.
+    """The findings of the doctor.
 
     Parameters
     ----------
     problems : list of str
-        Empty when all is well.
+        Empty if all is well.
     processes : dict of str to ProcessFacts
-        By role: client, scheduler, and each worker by its address.
+        By role: client, scheduler, and each worker with its address.
     dashboard : str
         Address of Dask's page; empty if there is none.
     store : StoreFacts or None
-        None if it cannot be used.
+        None if the store cannot be used.
     kernels : KernelFacts or None
-        None if none can be compiled.
+        None if no kernel can be compiled.
     """
 
     problems: list[str]
@@ -88,12 +89,12 @@ class Examination:
     kernels: KernelFacts | None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the record that `palpate doctor --json` prints."""
+        """Return the record printed by `palpate doctor --json`."""
         return asdict(self)
 
 
 def describe_process() -> ProcessFacts:
-    """Describe this process; sent to workers and scheduler as it is, to describe theirs."""
+    """Describe this process; also run on workers and the scheduler to describe theirs."""
     from distributed.system import MEMORY_LIMIT
 
     packages = {
@@ -121,7 +122,7 @@ def try_kernels() -> KernelFacts:
     Raises
     ------
     RuntimeError
-        If it gives a wrong result.
+        If the result is wrong.
     """
     import numba
     import numpy as np
@@ -140,19 +141,19 @@ def try_kernels() -> KernelFacts:
 
 
 def try_store(location: str) -> StoreFacts:
-    """Write, read and list from this process, and see how much room there is.
+    """Write, read and list files from this process, and measure the free space.
 
     Raises
     ------
     StoreError
-        If it cannot be used.
+        If the store cannot be used.
     """
     probe = probe_store(location)
     return {"root": probe.root, "free_bytes": probe.free_bytes, "takes_once": probe.takes_once}
 
 
 def examine(cluster: Cluster, store: str) -> Examination:
-    """Look at client, scheduler, workers and store."""
+    """Check the client, the scheduler, the workers and the store."""
     problems: list[str] = []
     processes = {"client": describe_process()}
     processes |= _cluster_processes(cluster, problems)
@@ -173,12 +174,12 @@ def _store_problems(facts: StoreFacts) -> list[str]:
     problems = []
     free = facts["free_bytes"]
     if free is not None and free < SCARCE_BYTES:
-        problems.append(f"only {free / GIB:.1f} GiB are free where the store is")
+        problems.append(f"only {free / GIB:.1f} GiB are free on the disk of the store")
     if not facts["takes_once"]:
         problems.append(
             "the object store ignores If-None-Match: studies are safe, but two maintenance "
             "commands (migrate, gc --delete, check --repair) can run at once. Use a server that "
-            "honours it, or see to it that only one runs"
+            "honours it, or make sure that only one runs"
         )
     return problems
 
@@ -202,7 +203,7 @@ def _cluster_processes(cluster: Cluster, problems: list[str]) -> dict[str, Proce
 
 
 def _mixed(processes: Mapping[str, ProcessFacts]) -> list[str]:
-    """Describe what differs between the processes that must not."""
+    """Describe forbidden differences between the processes."""
     here = processes["client"]
     problems = []
     for role, facts in processes.items():

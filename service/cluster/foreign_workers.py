@@ -1,4 +1,4 @@
-"""Recognises workers that cannot run Palpate, or run another version of it."""
+"""Detection of workers that cannot run Palpate, or run another version of it."""
 
 import re
 from collections.abc import Iterator
@@ -19,12 +19,12 @@ _DIFFERENT = re.compile(
 
 
 def prepare_workers(client: Client) -> None:
-    """Limit every worker of a cluster to one thread, those that join later too.
+    """Limit every current and future worker of a cluster to one thread.
 
     Raises
     ------
     ClusterError
-        If scheduler or workers cannot import Palpate.
+        If the scheduler or a worker cannot import Palpate.
     """
     with explained_imports():
         client.register_plugin(OneThread())
@@ -32,7 +32,7 @@ def prepare_workers(client: Client) -> None:
 
 @contextmanager
 def explained_imports() -> Iterator[None]:
-    """Replace the error of a worker that cannot import Palpate by one with advice."""
+    """Replace the error of a worker that cannot import Palpate with advice."""
     try:
         yield
     except Exception as error:
@@ -41,7 +41,7 @@ def explained_imports() -> Iterator[None]:
 
 
 def raise_if_foreign(error: BaseException) -> None:
-    """Raise if a worker has no Palpate, or another version of it.
+    """Raise an error if a worker has no Palpate, or another version of it.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def raise_if_foreign(error: BaseException) -> None:
     raise ClusterError(
         f"Some workers, or the scheduler, {has} ({what[0]}). Install Palpate {palpate_version()} "
         "in their Python environment, as on this machine, restart them, and run the same command "
-        "again; what is finished is kept."
+        "again; completed work is kept."
     ) from error
 
 

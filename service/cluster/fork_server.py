@@ -1,9 +1,9 @@
-"""Starts the worker processes of this machine as copies of one that has done their imports.
+"""Worker processes forked from one that has already done their imports.
 
-A worker that is spawned imports for one and a half seconds before its first task, each for itself.
-The fork server of Python's multiprocessing imports once, in a process of its own while the command
-still reads its input; a copy of it is there in a tenth of a second, and one that replaces a worker
-which died as well. The fork server ends with the command, whether a worker was asked for or not.
+A spawned worker spends one and a half seconds on imports before its first task. The fork
+server of Python's multiprocessing imports once, in a separate process, while the command still
+reads its input; forking a copy takes a tenth of a second, also when it replaces a worker that
+died. The fork server ends with the command, whether or not a worker was started.
 """
 
 import os
@@ -21,22 +21,22 @@ SAFE_PATH = "PYTHONSAFEPATH"
 
 @contextmanager
 def forked_workers(scheduler: str | None, *modules: str) -> Iterator[None]:
-    """Start to import modules; workers of the clusters that are opened within have them.
+    """Start importing modules; clusters opened within this context use workers that have them.
 
-    Only on Linux: elsewhere libraries of the system do not outlive a fork, workers are spawned.
+    Only on Linux: elsewhere system libraries do not survive a fork, and workers are spawned.
 
     Parameters
     ----------
     scheduler : str or None
-        Address of the cluster that is used instead of this machine; nothing is imported then.
+        Address of a cluster used instead of this machine; nothing is imported then.
     *modules : str
-        Dotted names. Nothing that they do when they are imported may start a thread.
+        Dotted names. Importing them must not start a thread.
     """
     if scheduler is not None or sys.platform != "linux":
         yield
         return
     _start(modules)
-    import dask  # takes a while, in which the fork server is busy already
+    import dask  # slow; meanwhile the fork server is already importing
 
     with dask.config.set({METHOD: "forkserver"}):
         yield
@@ -44,14 +44,14 @@ def forked_workers(scheduler: str | None, *modules: str) -> Iterator[None]:
 
 def _start(modules: tuple[str, ...]) -> None:
     set_forkserver_preload(list(modules))
-    os.environ.update(WORKER_ENVIRONMENT)  # read when NumPy is loaded, and when a process starts
+    os.environ.update(WORKER_ENVIRONMENT)  # read when NumPy is loaded, and at process start
     with unheard_interrupts(), _safe_path():
         forkserver.ensure_running()
 
 
 @contextmanager
 def _safe_path() -> Iterator[None]:
-    """Keep modules in the user's folder from being imported in the place of installed ones."""
+    """Prevent modules in the user's folder from shadowing installed ones."""
     is_set = SAFE_PATH in os.environ
     os.environ.setdefault(SAFE_PATH, "1")
     try:
@@ -63,12 +63,12 @@ def _safe_path() -> Iterator[None]:
 
 @contextmanager
 def unheard_interrupts() -> Iterator[None]:
-    """Keep Ctrl-C from processes that are started within; ours comes when it is over.
+    """Block Ctrl-C in processes started within this context; it reaches ours afterwards.
 
-    A terminal sends SIGINT to all processes of a command. The driver is the one to
-    answer it. Threads and processes inherit the mask, workers that are restarted later too.
+    A terminal sends SIGINT to all processes of a command, but only the driver should respond.
+    Threads and processes inherit the signal mask, including workers restarted later.
     """
-    resource_tracker.ensure_running()  # started later it would lift the mask
+    resource_tracker.ensure_running()  # if started later, it would lift the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -1,7 +1,7 @@
-"""Recognises a script that starts worker processes without a main guard.
+"""Detection of scripts that start worker processes without a main guard.
 
-Python starts each worker by importing the script again. Without the guard every worker would open
-a cluster of its own.
+Python starts each worker by importing the script again. Without the guard, every worker would
+open another cluster.
 """
 
 import ast
@@ -18,7 +18,7 @@ def check_main_guard() -> None:
     Raises
     ------
     InputError
-        With the two lines that the script needs.
+        With the two lines to add to the script.
     """
     main = sys.modules.get("__main__")
     script = _script_of(main)
@@ -38,14 +38,14 @@ def missing_guard(script: Path, line: int) -> str:
 
 
 def is_unguarded(text: str, line: int) -> bool:
-    """Return whether the top level of a script is sure to run on import, too.
+    """Return True if the top level of a script is certain to run on import, too.
 
     Parameters
     ----------
     text : str
-        Of the script.
+        Text of the script.
     line : int
-        The line of its top level that is running, from 1.
+        The line of its top level that is being executed, from 1.
     """
     try:
         body = ast.parse(text).body
@@ -55,7 +55,7 @@ def is_unguarded(text: str, line: int) -> bool:
 
 
 def lacks_guard() -> bool:
-    """Return whether the running program is a script that nowhere asks for its name."""
+    """Return True if the running program is a script that never checks ``__name__``."""
     script = _script_of(sys.modules.get("__main__"))
     text = "" if script is None else _text(script)
     return bool(text) and "__name__" not in text and "parent_process" not in text
@@ -70,13 +70,13 @@ def _asks_for_main(statement: ast.stmt) -> bool:
 
 
 def _script_of(main: ModuleType | None) -> Path | None:
-    """Return the file that workers import again; None in a notebook, a console or with -c."""
+    """Return the file that workers import; None in a notebook, a console or with -c."""
     file = getattr(main, "__file__", None)
     return Path(file) if file and Path(file).name != "__main__.py" else None
 
 
 def _running_line(main: ModuleType) -> int | None:
-    """Return the line of the main module's top level that led here; None in other threads."""
+    """Return the line of the main module that is being executed; None in other threads."""
     frame: FrameType | None = sys._getframe()
     while frame is not None:
         if frame.f_globals is vars(main) and frame.f_code.co_name == "<module>":

@@ -1,4 +1,4 @@
-"""Opens the cluster that does the work: local processes, or an existing scheduler.
+"""Opening the cluster for a run: local processes, or an existing scheduler.
 
 One evaluation per process, one thread per evaluation. Worker processes are
 spawned, or forked within `service.cluster.fork_server.forked_workers`; either way a script
@@ -40,35 +40,35 @@ DASHBOARD_PORT = 8787
 MEND_EVERY_S = 5.0
 HANDSHAKE_S = 10.0
 START_ATTEMPTS = 3
-# Of this machine's memory that all workers together may use; the rest is for everything else.
+# Share of this machine's memory for all workers together; the rest is for everything else.
 MEMORY_SHARE = 0.8
 GIVEN_UP = {Status.closed, Status.failed}
 
-# Read by the scheduler when it starts, so they have to be set before.
+# Read by the scheduler when it starts, so they have to be set first.
 CONFIG: dict[str, Any] = {
-    # A task is given up after so many deaths of its worker; most are not its fault.
+    # A task is given up after this many deaths of its worker; most are not its fault.
     "distributed.scheduler.allowed-failures": ALLOWED_FAILURES,
-    # A worker holds a cache on purpose and no results: nothing to spill, no reason to pause.
-    # Beyond 95 % of its share it is ended, which is better than the kernel's choice.
+    # A worker's memory is a deliberate cache without results: nothing to spill, no reason to
+    # pause. It is stopped beyond 95 % of its share, before the kernel would choose a process.
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": 0.95,
     "distributed.worker.use-file-locking": False,
-    # After this long Dask would strike a worker that is just then being restarted off its list.
+    # After this long Dask would drop a worker, even one that is being restarted.
     "distributed.deploy.lost-worker-timeout": "10000 days",
     "distributed.admin.large-graph-warning-threshold": "1MB",
 }
-# Workers that are spawned import nothing from the folder that they start in.
+# Spawned workers import nothing from the folder in which they start.
 SAFE_PATH_SETTING = {f"distributed.nanny.pre-spawn-environ.{SAFE_PATH}": "1"}
 
 
 class _SteadyCluster(LocalCluster):
-    """Survives workers that come and go quickly, and such as are killed while they start.
+    """A local cluster that survives workers that come and go quickly or die while starting.
 
-    Dask's own trips over the end of a worker that it never knew or has forgotten (KeyError),
-    then again when it is closed. A worker that dies is restarted by its nanny; a nanny that
-    fails is restarted by nobody, and its failure ends the cluster that is just starting.
+    Dask's own fails with a KeyError at the end of a worker that it never knew or has forgotten,
+    and again when it is closed. A worker that dies is restarted by its nanny; a nanny that
+    fails is not restarted, and its failure ends a cluster that is still starting.
     """
 
     failure = ""
@@ -85,22 +85,22 @@ class _SteadyCluster(LocalCluster):
 
     @property
     def has_workers(self) -> bool:
-        """Whether there is a worker that has not been given up."""
+        """Return True if there is a worker that has not been given up."""
         return any(worker.status not in GIVEN_UP for worker in self.workers.values())
 
     def forget_given_up(self) -> bool:
-        """Forget nannies that have failed; True if workers are missing then."""
+        """Forget nannies that have failed, and return whether workers are missing."""
         for name in [n for n, worker in self.workers.items() if worker.status in GIVEN_UP]:
             del self.workers[name]
         return self.worker_spec.keys() > self.workers.keys()
 
     def mend(self) -> None:
-        """Open what is missing; called in the cluster's own thread."""
+        """Replace missing workers; called in the cluster's own thread."""
         if self.forget_given_up():
-            self.scale(len(self.worker_spec))  # as many as before
+            self.scale(len(self.worker_spec))  # the same number as before
 
     def start_again(self) -> None:
-        """Start those that did not start, and wait for them."""
+        """Restart workers that did not start, and wait for them."""
         self.forget_given_up()
         self.sync(self._correct_state_internal)
 
@@ -112,11 +112,11 @@ class Cluster:
     Parameters
     ----------
     client : distributed.Client
-        To send tasks with.
+        The client that sends tasks.
     dashboard : str
         Address of Dask's page; empty if there is none.
     local : bool
-        Whether the processes were started by us, and end with us.
+        Whether the processes were started here and end with this process.
     """
 
     client: Client
@@ -132,19 +132,19 @@ def open_cluster(
     allowed_failures: int = ALLOWED_FAILURES,
     connect_s: float = 5.0,
 ) -> Iterator[Cluster]:
-    """Start local workers, or connect to a scheduler; close again what was opened.
+    """Start local workers or connect to a scheduler; close on exit whatever was opened.
 
     Parameters
     ----------
     scheduler : str, optional
-        Address such as ``tcp://10.0.0.5:8786``. Default: a cluster of this machine.
+        Address such as ``tcp://10.0.0.5:8786``. Default: a cluster on this machine.
     workers : int, WorkerRange or str, optional
-        Local processes, >= 1; default: one per core. In a range, such as ``"1-8"``, as many as
-        there is work for.
+        Number of local processes, >= 1; default: one per core. A range such as ``"1-8"``
+        follows the work.
     allowed_failures : int
-        Deaths of a worker after which the scheduler gives a task up (local only).
+        Deaths of a worker after which the scheduler gives up a task (local only).
     connect_s : float
-        How long to wait for somebody to listen at `scheduler`.
+        How long to wait for a listener at `scheduler`.
 
     Raises
     ------
@@ -175,12 +175,12 @@ def open_cluster(
 
 
 def prepare_client(client: Client) -> None:
-    """Limit workers to one thread, and add our tab to the dashboard where there is one.
+    """Limit workers to one thread, and add the Palpate tab to the dashboard, if any.
 
     Raises
     ------
     ClusterError
-        If scheduler or workers cannot import Palpate.
+        If the scheduler or a worker cannot import Palpate.
     """
     prepare_workers(client)
     if client.dashboard_link:
@@ -198,21 +198,21 @@ def _existing(address: str, connect_s: float) -> Iterator[Cluster]:
         except (OSError, TimeoutError, ValueError) as error:
             reason = str(error).splitlines()[0]
             raise ClusterError(
-                f"There is no scheduler at {address}: somebody listens, who does not answer as "
-                f"Dask's scheduler of the same version does ({reason}). `dask scheduler` starts "
-                "one; without --scheduler this machine is used."
+                f"There is no scheduler at {address}: something listens there but does not "
+                f"reply like a Dask scheduler of the same version ({reason}). Start one with "
+                "`dask scheduler`; without --scheduler this machine is used."
             ) from error
     with client:
         yield Cluster(client, client.dashboard_link or "", local=False)
 
 
 def _check_encryption(address: str) -> None:
-    """Refuse an address that does not fit Dask's configuration for TLS.
+    """Refuse an address that does not match Dask's TLS configuration.
 
     Raises
     ------
     ClusterError
-        If there are no certificates for ``tls://``, or they are asked for and it is another.
+        If ``tls://`` lacks certificates, or encryption is required and the address has none.
     """
     required = dask.config.get("distributed.comm.require-encryption", False)
     if address.startswith("tls://"):
@@ -230,14 +230,14 @@ def _check_encryption(address: str) -> None:
             )
     elif required:
         raise ClusterError(
-            f"{address} is not encrypted, but DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION asks for "
-            "it. Give a tls:// address, or unset that variable."
+            f"{address} is not encrypted, but DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION "
+            "requires it. Give a tls:// address, or unset that variable."
         )
 
 
 @contextmanager
 def _unlogged(name: str) -> Iterator[None]:
-    """Keep a library's own account of an error that is explained to the user."""
+    """Silence a library's own log of an error that is explained to the user."""
     logger = logging.getLogger(name)
     before = logger.level
     logger.setLevel(logging.CRITICAL)
@@ -264,7 +264,7 @@ def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
         )
         stack.enter_context(dask.config.set(config))
         with unheard_interrupts(), warnings.catch_warnings():
-            # Somebody may take the port between our look and Dask's; Dask then takes another.
+            # Another process may take the port before Dask does; Dask then takes another.
             warnings.filterwarnings("ignore", message="\\s*Port .* is already in use")
             cluster = stack.enter_context(
                 _SteadyCluster(
@@ -290,7 +290,7 @@ def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
 
 @contextmanager
 def _restored_environment() -> Iterator[None]:
-    """Undo afterwards what is set for the workers, by us and by Dask, in this process too."""
+    """Restore afterwards the environment that Palpate and Dask change for the workers."""
     before = {name: os.environ.get(name) for name in (*WORKER_ENVIRONMENT, SAFE_PATH)}
     try:
         yield
@@ -303,7 +303,7 @@ def _restored_environment() -> Iterator[None]:
 
 
 def _require_workers(cluster: _SteadyCluster) -> None:
-    """Start workers again where none has come up; `_mended` replaces those that are missing.
+    """Restart workers if none has started; `_mended` replaces those that go missing later.
 
     Raises
     ------
@@ -322,7 +322,7 @@ def _require_workers(cluster: _SteadyCluster) -> None:
 
 
 def _start_advice() -> str:
-    """Return what to do about workers that do not start."""
+    """Return advice for workers that do not start."""
     if lacks_guard():
         return (
             "Each worker imports the script that is running, which has no main guard: put the "
@@ -336,7 +336,7 @@ def _start_advice() -> str:
 
 @contextmanager
 def _mended(cluster: _SteadyCluster) -> Iterator[None]:
-    """Replace workers that Dask has given up, for instance for want of memory at a restart."""
+    """Replace workers that Dask has given up, for instance after a restart without memory."""
     mending = PeriodicCallback(cluster.mend, 1000 * MEND_EVERY_S)
     cluster.loop.add_callback(mending.start)
     try:
@@ -346,17 +346,17 @@ def _mended(cluster: _SteadyCluster) -> Iterator[None]:
 
 
 def worker_memory(workers: int) -> int:
-    """Return the memory limit of each of some workers of this machine, in bytes."""
+    """Return the memory limit of each of several workers on this machine, in bytes."""
     return int(MEMORY_SHARE * MEMORY_LIMIT / workers)
 
 
 def usable_cores() -> int:
-    """Count the cores this process may use: in a container or a batch job, not all."""
+    """Return the number of cores this process may use, fewer in a container or batch job."""
     return int(dask.system.CPU_COUNT)
 
 
 def free_port(preferred: int) -> int:
-    """Return `preferred` if nobody listens on that port, else 0: the system's choice."""
+    """Return `preferred` if nothing listens on that port, else 0: any free port."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

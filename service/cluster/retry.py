@@ -1,12 +1,12 @@
-"""Run a command again where that may help.
+"""Retries of a command, where they may help.
 
 ::
 
     python -m palpate.service.cluster.retry palpate run ...
 
 
-A container engine restarts whatever ends badly. A study that makes no sense ends with exit
-code 2, and ends so again however often it is started; only other failures are tried again.
+A container engine restarts anything that fails. A study with invalid input ends with exit
+code 2, every time; only other failures are retried.
 """
 
 import signal
@@ -16,14 +16,14 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-# Done, something that the user has to put right, and a wish to stop.
+# Success, an error for the user to correct, and a requested stop.
 FINAL = (0, 2, 130)
 ATTEMPTS = 4
 PAUSE_S = 5.0
 
 
 def main(command: Sequence[str], pause_s: float = PAUSE_S) -> int:
-    """Run a command until it ends for good, and return its exit code."""
+    """Run a command until it succeeds or retrying is pointless, and return its exit code."""
     stopped: list[int] = []
     running: list[subprocess.Popen[bytes]] = []
 
@@ -41,7 +41,7 @@ def main(command: Sequence[str], pause_s: float = PAUSE_S) -> int:
             running.clear()
             if code in FINAL or stopped or attempt == ATTEMPTS:
                 break
-            sys.stderr.write(f"ended with {code}: tried again, {ATTEMPTS - attempt} times more\n")
+            sys.stderr.write(f"ended with {code}; {ATTEMPTS - attempt} attempts left\n")
             time.sleep(pause_s)
     finally:
         for number, handler in before.items():

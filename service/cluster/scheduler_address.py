@@ -1,4 +1,4 @@
-"""Says at once whether a scheduler can be where somebody says, before Dask is loaded."""
+"""Quick check of a scheduler's address, before Dask is loaded."""
 
 import re
 import socket
@@ -18,34 +18,34 @@ RETRY_S = 0.25
 
 
 def host_and_port(address: str) -> tuple[str, int]:
-    """Return where an address points to.
+    """Return the host and port of an address.
 
     Raises
     ------
     ClusterError
-        If it is no address of a scheduler.
+        If it is not the address of a scheduler.
     """
     match = _ADDRESS.fullmatch(address.strip())
     port = int(match["port"]) if match else 0
     if match is None or not 0 < port < 65536 or (match["scheme"] or "tcp") not in SCHEMES:
-        raise ClusterError(f"There is no scheduler at {address!r}, which is no address. {ADVICE}")
+        raise ClusterError(f"There is no scheduler at {address!r}: invalid address. {ADVICE}")
     return match["host"].strip("[]"), port
 
 
 def check_reachable(address: str, patience_s: float) -> None:
-    """Wait until somebody listens at an address.
+    """Wait until something listens at an address.
 
     Parameters
     ----------
     address : str
         Such as ``tcp://10.0.0.5:8786``.
     patience_s : float
-        A scheduler may be starting; a name that nobody knows is given up at once.
+        How long to wait for a scheduler that is starting; an unknown host fails at once.
 
     Raises
     ------
     ClusterError
-        If nobody does.
+        If nothing listens in time.
     """
     host, port = host_and_port(address)
     deadline = time.monotonic() + patience_s
@@ -55,7 +55,7 @@ def check_reachable(address: str, patience_s: float) -> None:
             socket.create_connection((host, port), timeout=left_s).close()
         except (socket.gaierror, UnicodeError) as error:
             raise ClusterError(
-                f"There is no scheduler at {address}: nobody knows the host {host!r}. {ADVICE}"
+                f"There is no scheduler at {address}: the host {host!r} is unknown. {ADVICE}"
             ) from error
         except OSError as error:
             if time.monotonic() + RETRY_S >= deadline:

@@ -12,15 +12,15 @@ Returned = TypeVar("Returned")
 
 
 class SingleProcess:
-    """Runs tasks here, in order; a `service.cluster.dispatch.TaskRunner`."""
+    """A `service.cluster.dispatch.TaskRunner` that runs tasks in this process, in order."""
 
     @property
     def threads(self) -> int:
-        """Return how many tasks run at once."""
+        """Return the number of tasks that run at once."""
         return 1
 
     def call(self, task: Callable[..., Returned], *arguments: object) -> Returned:
-        """Run one task; what it raises goes up unchanged."""
+        """Run one task; its exceptions are passed on unchanged."""
         return task(*arguments)
 
     def all(self, task: Callable[..., Returned], calls: TaskCalls) -> list[Returned]:
@@ -28,11 +28,11 @@ class SingleProcess:
         return [task(*arguments) for _, arguments in ready(calls)]
 
     def everywhere(self, task: Callable[..., Returned], *arguments: object) -> dict[str, Returned]:
-        """Run one task here, which is everywhere."""
+        """Run one task in this process, the only one."""
         return {"this process": task(*arguments)}
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
-        """Run tasks that may fail: an exception is a crash, but for those of the store."""
+        """Run tasks that may fail: an exception is a crash, unless it is an error of the store."""
         for key, arguments in ready(calls):
             try:
                 yield Ending(key, "returned", task(*arguments))

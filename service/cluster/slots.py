@@ -1,23 +1,23 @@
-"""Says how many tasks a dispatcher may have on the cluster at once."""
+"""Limits on the number of tasks that a dispatcher may have on the cluster at once."""
 
 from typing import Protocol
 
 TASKS_PER_THREAD = 2
-"""One runs and one waits, so that no worker idles while an ending is journalled."""
+"""One runs and one waits, so no worker idles while an ending is saved."""
 
 
 class Slots(Protocol):
-    """Slots for tasks; a task has one from when it is sent until it is released."""
+    """Slots for tasks; a task holds one from submission until its release."""
 
     def take(self, threads: int) -> bool:
-        """Take a slot on a cluster of so many threads; False if there is none now."""
+        """Take a slot on a cluster with `threads` threads; return False if none is free."""
 
     def give_back(self) -> None:
-        """Give one back."""
+        """Release one slot."""
 
 
 class OwnSlots:
-    """All slots of a cluster, for the one dispatcher that uses it.
+    """All slots of a cluster, for its only dispatcher.
 
     Examples
     --------
@@ -42,5 +42,5 @@ class OwnSlots:
 
 
 def slot_count(threads: int) -> int:
-    """Return the slots of a cluster; some even where there is no worker yet."""
+    """Return the number of slots of a cluster; positive even without workers."""
     return TASKS_PER_THREAD * max(1, threads)

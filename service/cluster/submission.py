@@ -1,4 +1,4 @@
-"""What a dispatcher has sent or is about to send: one task and its attempts."""
+"""Submissions of a dispatcher: one task and its attempts."""
 
 import time
 from collections.abc import Iterable, Iterator
@@ -11,18 +11,18 @@ Call = tuple[Any, tuple[Any, ...]]
 
 
 class Later(Enum):
-    """Stands for a call that cannot be made before some task has ended."""
+    """Marker for a call that has to wait until some task has ended."""
 
     NOT_YET = "not yet"
 
 
 NOT_YET = Later.NOT_YET
 TaskCalls = Iterable[Call | Literal[Later.NOT_YET]]
-"""Calls, read only as fast as tasks end; `NOT_YET` is asked again after the next ending."""
+"""Calls, read only as fast as tasks end; `NOT_YET` is tried again after the next ending."""
 
 
 def ready(calls: TaskCalls) -> Iterator[Call]:
-    """Yield calls; what is not ready is asked again at once."""
+    """Yield calls; one that is not ready is tried again at once."""
     for call in calls:
         if call is not NOT_YET:
             yield call
@@ -30,7 +30,7 @@ def ready(calls: TaskCalls) -> Iterator[Call]:
 
 @dataclass
 class Submission:
-    """A task, as often as it is sent."""
+    """A task with the number of times it was sent."""
 
     key: Any
     arguments: tuple[Any, ...]
@@ -39,36 +39,36 @@ class Submission:
 
 
 class WaitingCalls:
-    """Calls that have not been sent, read one ahead."""
+    """Calls that have not been sent; one is read ahead."""
 
     def __init__(self, calls: TaskCalls) -> None:
         self._calls: Iterator[Call | Literal[Later.NOT_YET]] = iter(calls)
         self._next = next(self._calls, None)
 
     def __bool__(self) -> bool:
-        """Return whether there may be more."""
+        """Return True if there may be more calls."""
         return self._next is not None
 
     @property
     def ready(self) -> bool:
-        """Return whether there is one that can be sent now."""
+        """Return True if a call can be sent now."""
         if self._next is NOT_YET:
             self._next = next(self._calls, None)
         return self._next is not None and self._next is not NOT_YET
 
     def pop(self) -> Submission:
-        """Return the next one."""
+        """Return the next call."""
         first, self._next = self._next, next(self._calls, None)
         assert isinstance(first, tuple)
         return Submission(*first)
 
 
 class Patience:
-    """When a task has ended last, and when there was a worker last."""
+    """The times of the last ending and of the last sight of a worker."""
 
     def __init__(self) -> None:
         self.ended = self.worked = time.monotonic()
 
     def restart(self) -> None:
-        """Wait anew."""
+        """Reset both times."""
         self.ended = self.worked = time.monotonic()

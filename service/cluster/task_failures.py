@@ -1,4 +1,4 @@
-"""Turns what Dask and workers raise into errors and reasons that a user can act on."""
+"""Translation of exceptions from Dask and workers into errors that a user can act on."""
 
 import errno
 
@@ -13,7 +13,7 @@ FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 
 
 class as_cluster_error:  # noqa: N801 - a context manager
-    """Explain what Dask raises when the scheduler has gone."""
+    """Explain the exceptions that Dask raises after the scheduler has gone."""
 
     def __enter__(self) -> None:
         return None
@@ -26,15 +26,15 @@ class as_cluster_error:  # noqa: N801 - a context manager
 
 
 def scheduler_gone(what: str) -> ClusterError:
-    """Return the error that the scheduler cannot be reached."""
+    """Return the error for a scheduler that cannot be reached."""
     return ClusterError(
-        f"The scheduler cannot be reached any more: {what}. What is finished is kept: run the "
+        f"The scheduler can no longer be reached: {what}. Completed work is kept: run the "
         "same command again to continue."
     )
 
 
 def raise_if_store(error: BaseException) -> None:
-    """Raise what is no verdict on a task: a store that cannot be used, a full disk.
+    """Raise errors that say nothing about a task: an unusable store, a full disk.
 
     Raises
     ------
@@ -44,12 +44,12 @@ def raise_if_store(error: BaseException) -> None:
         raise error
     if isinstance(error, OSError) and error.errno in FULL_DISK:
         raise StoreError(
-            f"A worker cannot write to the store: {error}. {hint(error)} What is finished is kept."
+            f"A worker cannot write to the store: {error}. {hint(error)} Completed work is kept."
         ) from error
 
 
 def death(killed: KilledWorker) -> str:
-    """Say that the workers of a task have died."""
+    """Describe how the workers of a task died."""
     worker = getattr(killed, "last_worker", None)
     name = getattr(worker, "address", None) or "unknown"
     deaths = killed.allowed_failures + 1 if hasattr(killed, "allowed_failures") else "several"
@@ -57,6 +57,6 @@ def death(killed: KilledWorker) -> str:
 
 
 def sentence(error: BaseException) -> str:
-    """Return kind and message of an error."""
+    """Return the type and message of an error."""
     text = str(error).strip() or "no message"
     return f"{type(error).__name__}: {text}"

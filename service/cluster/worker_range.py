@@ -1,4 +1,4 @@
-"""Says how many workers a cluster has that we start: a number, or a range that follows the work."""
+"""The number of workers of a local cluster: fixed, or a range that follows the work."""
 
 import re
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ _RANGE = re.compile(r"(\d{1,6})(?:\s*-\s*(\d{1,6}))?")
 
 @dataclass(frozen=True)
 class WorkerRange:
-    """From `least` to `most` workers, as many as there is work for.
+    """From `least` to `most` workers, depending on the work.
 
     Parameters
     ----------
     least : int
-        >= 1; so many are kept when there is nothing to do.
+        Number kept when there is no work; >= 1.
     most : int
         > `least`.
     """
@@ -25,7 +25,7 @@ class WorkerRange:
     most: int
 
     def __str__(self) -> str:
-        """Return what a user types."""
+        """Return the range as a user types it."""
         return f"{self.least}-{self.most}"
 
 
@@ -40,12 +40,12 @@ def read_workers(text: str, option: str = "--workers ") -> Workers:
     ----------
     text : str
     option : str
-        What stands before it where it was typed.
+        The option as typed, for messages.
 
     Raises
     ------
     InputError
-        If it is neither, or there are too few.
+        If the text is neither, or the number is too small.
 
     Examples
     --------
@@ -57,13 +57,13 @@ def read_workers(text: str, option: str = "--workers ") -> Workers:
     match = _RANGE.fullmatch(text.strip())
     if match is None:
         raise InputError(
-            f"{option}{text}: expected a number of workers such as 4, or the least and the most "
-            "of them such as 1-4."
+            f"{option}{text}: expected a number of workers such as 4, or a range such as 1-4 "
+            "(fewest-most)."
         )
     least, most = int(match[1]), int(match[2] or match[1])
     if least < 1:
         raise InputError(
-            f"{option.rstrip(' =')} must be at least 1, got {text}: one worker is always kept."
+            f"{option.rstrip(' =')} must be at least 1, got {text}: one worker is always needed."
         )
     if most < least:
         raise InputError(f"{option}{text}: the least comes first, so {most}-{least}.")
@@ -71,5 +71,5 @@ def read_workers(text: str, option: str = "--workers ") -> Workers:
 
 
 def most_workers(workers: Workers) -> int:
-    """Return how many there are at most."""
+    """Return the largest number of workers."""
     return workers.most if isinstance(workers, WorkerRange) else workers

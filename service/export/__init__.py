@@ -1,16 +1,16 @@
-"""Writes bodies as files that other programs read; one file a format.
+"""Export of bodies to the files of other programs; one module per format.
 
 ::
 
-    .nrrd .seg.nrrd   label volumes                      stored.py
-    .nii .nii.gz      the same                           nifti_file.py
-    .vtu .vtk .msh    meshes, with stress and strain     mesh_file.py
-    .stl              the surface                        surface_file.py
-    .pvd .gif         the way from rest to load          time_series.py, movie.py
-    .inp .feb         the whole model, for CalculiX      calculix.py, febio.py
-                      (or Abaqus) and for FEBio
+    .nrrd .seg.nrrd     label volumes                      stored.py
+    .nii .nii.gz        label volumes                      nifti_file.py
+    .vtu .vtk .msh      meshes, with stress and strain     mesh_file.py
+    .stl                the surface                        surface_file.py
+    .pvd .gif           from rest to load                  time_series.py, movie.py
+    .inp .feb           the whole model, for CalculiX      calculix.py, febio.py
+                        (or Abaqus) and for FEBio
 
-What another solver is told stands in `solver_model.py`, once for both.
+`solver_model.py` describes the model for both other solvers.
 """
 
 from palpate.service.export.stored import TISSUE_NAMES, export_stored_mesh, export_volume

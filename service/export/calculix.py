@@ -1,13 +1,13 @@
-"""Writes a body as an input deck of CalculiX (`ccx`) or Abaqus, `.inp`.
+"""Export of a body as an input deck of CalculiX (`ccx`) or Abaqus, `.inp`.
 
-CalculiX writes neo-Hooke's law as ``C10 (I1bar - 3) + (J - 1)^2 / D1`` with C10 = mu / 2 and
-D1 = 2 / kappa, Yeoh's with C20 beside it. Fibres along a are a second layer of elements on the
-same nodes: their ``eta/2 (I4 - 1)^2`` is ``1/2 E : C : E`` of the Green strain E with
-``C = 4 eta a a a a``, because I4 - 1 = 2 a E a, and that is what CalculiX makes of *ELASTIC under
-NLGEOM. Fibres that are measured by I4bar are its "Fiber reinforced material" (names begin with
+CalculiX writes the neo-Hookean law as ``C10 (I1bar - 3) + (J - 1)^2 / D1`` with C10 = mu / 2 and
+D1 = 2 / kappa, and Yeoh's with an additional C20. Fibres along a are a second layer of elements on
+the same nodes: their ``eta/2 (I4 - 1)^2`` is ``1/2 E : C : E`` of the Green strain E with
+``C = 4 eta a a a a``, because I4 - 1 = 2 a E a; CalculiX's *ELASTIC does this under NLGEOM.
+Fibres measured by I4bar use its "Fiber reinforced material" (names begin with
 ELASTIC_FIBER), ``k1 / (2 k2) (exp(k2 <I4bar - 1>^2) - 1)`` with k1 = eta and a small k2.
 
-Fields have at most 20 characters, all that CalculiX reads.
+Fields have at most 20 characters, the most that CalculiX reads.
 """
 
 import textwrap
@@ -20,15 +20,15 @@ import numpy as np
 from palpate.service.export.solver_model import Material, SolverModel
 from palpate.storage.backends.atomic import explained, write_file
 
-# In exp(k2 x^2): so small that the exponential is a square.
+# In exp(k2 x^2): so small that the law is quadratic.
 K2 = 1e-4
 # The order of the 21 moduli of *ELASTIC,TYPE=ANISO: 1111, 1122, 2222, 1133, ..., 2323.
 VOIGT = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 ANISO = tuple((i, j, k, l) for n, (k, l) in enumerate(VOIGT) for i, j in VOIGT[: n + 1])
-# The load is put on in so many increments at first; CalculiX cuts or lengthens them.
+# The initial number of load increments; CalculiX shortens or lengthens them.
 FIRST_INCREMENT = 0.1
 # Out-of-balance force over the mean nodal force, and last correction over the increment;
-# CalculiX itself is content with 5e-3 and 1e-2.
+# the defaults of CalculiX are 5e-3 and 1e-2.
 RESIDUAL, CORRECTION = 1e-5, 1e-4
 
 
@@ -75,14 +75,14 @@ def _notes_on_fibres(model: SolverModel) -> Iterator[str]:
         return
     if not model.isochoric_fibre:
         yield (
-            "Fibres: elements of their own on the same nodes, where fibres are stretched at the "
+            "Fibres: separate elements on the same nodes, wherever fibres are stretched at the "
             "end: 1/2 E : C : E with C = 4 eta along the fibre, which is eta/2 (I4 - 1)^2 in "
-            "CalculiX. Abaqus takes *ELASTIC for another law: give fibres there as *ANISOTROPIC "
+            "CalculiX. Abaqus uses *ELASTIC for another law: there, define fibres as *ANISOTROPIC "
             "HYPERELASTIC."
         )
         return
     yield (
-        "Fibres: materials ELASTIC_FIBER..., which CalculiX has built in. In Abaqus write "
+        "Fibres: materials ELASTIC_FIBER..., which are built into CalculiX. In Abaqus write "
         "*ANISOTROPIC HYPERELASTIC, HOLZAPFEL instead."
     )
 
@@ -120,7 +120,7 @@ def _matrix(material: Material) -> Iterator[str]:
 def _matrix_with_fibres(material: Material) -> Iterator[str]:
     fields = [f"{material.mu_mpa / 2:.12g}", f"{2 / material.kappa_mpa:.12g}"]
     for fibres in material.fibres:
-        # The third component is made from two, and positive.
+        # The third component is computed from the other two, and is positive.
         x, y, _ = fibres.direction if fibres.direction[2] >= 0 else -fibres.direction
         fields += [f"{x:.12g}", f"{y:.12g}", f"{fibres.eta_mpa:.12g}", f"{K2:g}"]
     yield f"*USER MATERIAL,CONSTANTS={len(fields)}"
@@ -128,7 +128,7 @@ def _matrix_with_fibres(material: Material) -> Iterator[str]:
 
 
 def _fibre_layers(model: SolverModel, numbers: Iterator[int]) -> Iterator[str]:
-    """Fibres measured by I4, as elements that have no stiffness but along them."""
+    """Yield fibres measured by I4, as elements with stiffness only along the fibre."""
     if model.isochoric_fibre:
         return
     for material in model.materials:
@@ -149,15 +149,15 @@ def _fibre_layers(model: SolverModel, numbers: Iterator[int]) -> Iterator[str]:
 
 
 def _lines(fields: list[str]) -> Iterator[str]:
-    """Eight fields a line, all that a card may have."""
+    """Yield lines of eight fields, the most that a card may have."""
     for first in range(0, len(fields), 8):
         yield ",".join(fields[first : first + 8])
 
 
 def _springs(model: SolverModel, numbers: Iterator[int]) -> Iterator[str]:
-    """Springs of one stiffness share a card, because each card counts as a material."""
+    """Yield springs, one card for each stiffness, because each card counts as a material."""
     for axis in range(3):
-        # Three digits: a node's share of the wall is known no better.
+        # Three digits: a node's share of the wall is no more precise.
         both = (model.stated_springs_n_per_mm + model.drift_n_per_mm)[:, axis]
         stiffness = np.array([float(f"{k:.3g}") for k in both])
         for group, n_per_mm in enumerate(np.unique(stiffness[stiffness > 0])):
@@ -167,7 +167,7 @@ def _springs(model: SolverModel, numbers: Iterator[int]) -> Iterator[str]:
                 yield f"{next(numbers)},{node + 1}"
             yield f"*SPRING,ELSET={name}"
             yield f"{axis + 1}"
-            # Without its decimal point it would be read as a degree of freedom.
+            # Without the decimal point it would be read as a degree of freedom.
             yield f"{n_per_mm:#.12g}"
 
 

@@ -1,10 +1,10 @@
-"""Writes a body as an input file of FEBio 4, `.feb`.
+"""Export of a body as an input file of FEBio 4, `.feb`.
 
-Materials are uncoupled: "Mooney-Rivlin" with c1 = mu / 2 and c2 = 0 is neo-Hooke's law, and
+Materials are uncoupled: "Mooney-Rivlin" with c1 = mu / 2 and c2 = 0 is the neo-Hookean law, and
 pressure_model 2 its ``k / 2 (J - 1)^2``. Fibres are "fiber-exp-pow", whose energy with alpha -> 0
 and beta = 2 is ``ksi / 2 <I4 - 1>^2``, in a second layer of elements on the same nodes; those
 measured by I4bar are "fiber-exp-pow-uncoupled" in a mixture (FEBio User's Manual, sections
-"Uncoupled Materials" and "Fiber Materials"). FEBio itself is no part of the tests.
+"Uncoupled Materials" and "Fiber Materials"). The tests do not run FEBio.
 """
 
 from collections.abc import Iterator
@@ -19,18 +19,18 @@ from palpate.service.export.solver_model import Fibres, Material, SolverModel
 from palpate.storage.backends.atomic import explained, write_file
 
 STEPS = 10
-# U(J) = k/2 (J - 1)^2, the third of FEBio's pressure models.
+# U(J) = k/2 (J - 1)^2, FEBio's third pressure model.
 PRESSURE_MODEL = 2
-# Zero is taken for "no exponential" by FEBio 4; older ones divide by it.
+# FEBio 4 interprets zero as "no exponential"; older versions divide by it.
 ALPHA = 1e-20
 
 
-# An attachment fades without an end: springs below this part of the firmest are left out.
+# Attachments fade gradually: springs below this fraction of the stiffest are omitted.
 FELT = 1e-3
 
 
 def export_febio(path: Path, model: SolverModel) -> None:
-    """Write an input file. Springs of chest wall and skin become prescribed displacements.
+    """Write an input file, with springs of chest wall and skin as prescribed displacements.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def export_febio(path: Path, model: SolverModel) -> None:
 
 
 def _without_springs(model: SolverModel) -> SolverModel:
-    """Prescribe the displacement of sprung nodes, and of one where nothing stops a drift."""
+    """Prescribe the displacements of nodes with springs, and of one node to prevent drift."""
     springs = model.stated_springs_n_per_mm
     given = model.prescribed | (springs > FELT * springs.max(axis=0))
     wall = np.flatnonzero(given[:, 2])
@@ -71,7 +71,7 @@ def _notes(model: SolverModel) -> Iterator[str]:
     if any(m.c2_mpa for m in model.materials):
         yield "Strain stiffening (Yeoh's c2): left out."
     if any(m.fibres for m in model.materials) and not model.tension_only:
-        yield "Fibres: in tension only; this body's push back under compression too."
+        yield "Fibres: in tension only; Palpate's also resist compression."
     if model.stated_springs_n_per_mm.any():
         yield "Springs of chest wall and skin: replaced by the displacements of their nodes."
 
@@ -119,7 +119,7 @@ def _materials(root: Xml.Element, model: SolverModel) -> None:
 
 
 def _layers(model: SolverModel) -> Iterator[tuple[str, Fibres]]:
-    """Yield the layers of elements that fibres measured by I4 have for themselves."""
+    """Yield the separate layers of elements for fibres measured by I4."""
     for material in () if model.isochoric_fibre else model.materials:
         for family, fibres in enumerate(material.fibres, 1):
             if len(fibres.elements):
@@ -164,7 +164,7 @@ def _mesh(root: Xml.Element, model: SolverModel) -> None:
 
 
 def _mesh_data(root: Xml.Element, model: SolverModel) -> None:
-    """Values at the nodes of a set, numbered as they stand in it."""
+    """Add values at the nodes of a set, numbered by their order in the set."""
     data = _add(root, "MeshData")
     for axis in range(3):
         given = model.displacement_mm[model.prescribed[:, axis], axis]

@@ -28,12 +28,12 @@ class Exporter:
     Parameters
     ----------
     write : callable
-        Writes to a path the solution that is shown, and the body as it was solved first. The two
-        differ where the shown solution is the simplified one.
+        Writes to a path, given the displayed solution and the body as it was solved. The two
+        differ if the displayed solution is the simplified one.
     simplified : bool
         Whether the format needs the simplified model that other solvers can represent.
     note : str
-        What a reader should know of the file; printed beside its name.
+        A remark for readers of the file, printed next to its name.
     """
 
     write: Callable[[Path, SolvedBody, SolvedBody], None]
@@ -49,17 +49,17 @@ def export_solved(paths: Iterable[Path], body: SolvedBody, *, as_told: bool = Fa
     paths : iterable of Path
     body : SolvedBody
     as_told : bool
-        Show the `comparable` solution, which other solvers can represent, in all files.
+        Whether all files show the `comparable` solution, which other solvers can represent.
 
     Returns
     -------
     SolvedBody
-        The solution that meshes, surfaces and labels show.
+        The solution in meshes, surfaces and labels.
 
     Raises
     ------
     InputError
-        If a suffix is not known, or the body cannot be solved as another solver would.
+        If a suffix is unknown, or the simplified body cannot be solved.
     StoreError
         If the file system refuses.
     """
@@ -73,12 +73,12 @@ def export_solved(paths: Iterable[Path], body: SolvedBody, *, as_told: bool = Fa
 
 
 def exporter_of(path: Path) -> Exporter:
-    """Return the format of a file's suffix.
+    """Return the format for a file's suffix.
 
     Raises
     ------
     InputError
-        If it is not known.
+        If the suffix is unknown.
     """
     found: Exporter = load("exporters", suffix_of(path, solved_suffixes()).lstrip("."))
     return found
@@ -101,7 +101,7 @@ def _series(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
 
 
 def _movie(path: Path, shown: SolvedBody, body: SolvedBody) -> None:
-    # Loads matplotlib, which no other format needs.
+    # Imports matplotlib, which no other format needs.
     from palpate.service.export.movie import export_movie
 
     export_movie(path, shown)

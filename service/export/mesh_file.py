@@ -10,7 +10,7 @@ from palpate.storage.stores.meshes import export_mesh
 from palpate.storage.values import FloatArray, IntArray, TetMesh
 from palpate.workers.mechanics.fem.equilibrium.element_fields import ElementFields
 
-# ParaView and Gmsh order a symmetric tensor so when they are given six numbers a cell.
+# The order of a symmetric tensor's six components in ParaView and Gmsh.
 SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
 
 
@@ -37,12 +37,12 @@ class MeshData:
 def mesh_data(
     deformed: TetMesh, displacement_mm: FloatArray, tissue: IntArray, fields: ElementFields
 ) -> MeshData:
-    """Return a deformed mesh with everything that is written to files.
+    """Return a deformed mesh with all values that are written to files.
 
     Parameters
     ----------
     deformed : TetMesh
-        Of n nodes and m elements.
+        A mesh with n nodes and m elements.
     displacement_mm : ndarray, shape (n, 3)
     tissue : ndarray of int32, shape (m,)
     fields : ElementFields
@@ -64,12 +64,12 @@ def mesh_data(
 
 
 def export_solved_mesh(path: Path, body: SolvedBody) -> None:
-    """Write the deformed mesh with the values of `MeshData`.
+    """Write the deformed mesh with the values in `MeshData`.
 
     Raises
     ------
     InputError
-        If the suffix is not known.
+        If the suffix is unknown.
     StoreError
         If the file system refuses.
     """

@@ -1,4 +1,4 @@
-"""Writes a body on its way from rest to load as a moving picture (GIF)."""
+"""Export of a body moving from rest to load as an animation (GIF)."""
 
 from pathlib import Path
 
@@ -20,13 +20,13 @@ FRAMES, HELD, PER_SECOND = 16, 6, 8
 SIZE_IN, DPI = (5.6, 4.4), 100
 COLOURS = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
 PLATE = "#4d7fa8"
-# The view of the pages: plates press along y, which points up.
+# The view used on the pages: plates press along y, which points up.
 AZIMUTH, ELEVATION = np.radians(-50.0), np.radians(18.0)
 AMBIENT = 0.55
 
 
 def export_movie(path: Path, body: SolvedBody) -> None:
-    """Write a moving picture (GIF) of the surface between its plates, coloured by displacement.
+    """Write an animation (GIF) of the surface between its plates, coloured by displacement.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def export_movie(path: Path, body: SolvedBody) -> None:
 
 
 class _Scene:
-    """The surface of a body from one side, drawn from back to front."""
+    """The surface of a body seen from one side, drawn from back to front."""
 
     def __init__(self, body: SolvedBody) -> None:
         self.rest, self.displacement_mm = rest_of(body), body.displacement_mm
@@ -72,7 +72,7 @@ class _Scene:
         (self.left, self.low), (self.right, self.high) = seen[:, :2].min(0), seen[:, :2].max(0)
 
     def show(self, share: float) -> None:
-        """Draw the body after a share of its displacement."""
+        """Draw the body at a fraction of its displacement."""
         seen, light = self._at(share)
         corners = seen[self.triangles]
         order = np.argsort(corners[:, :, 2].mean(axis=1), kind="stable")
@@ -101,7 +101,7 @@ class _Scene:
         self.axes.set_axis_off()
 
     def _at(self, share: float) -> tuple[FloatArray, FloatArray]:
-        """Return the nodes as the camera sees them, and how bright triangles are."""
+        """Return the nodes in camera coordinates and the brightness of the triangles."""
         x = self.rest + share * self.displacement_mm
         a, b, c = (x[self.triangles[:, k]] for k in range(3))
         normal = np.cross(b - a, c - a)

@@ -1,7 +1,7 @@
-"""Writes volumes as NIfTI-1, with the names of labels in a ``LabelTable``.
+"""Export of volumes as NIfTI-1, with the names of labels in a ``LabelTable``.
 
-The table is a header extension, as TotalSegmentator and Connectome Workbench write it and
-`workers.body.images.nifti` reads it; 3D Slicer shows the labels without their names.
+The table is a header extension, as written by TotalSegmentator and Connectome Workbench and
+read by `workers.body.images.nifti`; 3D Slicer shows the labels without their names.
 """
 
 from collections.abc import Mapping
@@ -17,19 +17,19 @@ from palpate.storage.values import Volume
 SCANNER = 1
 NO_PLACE = 0
 IGNORED_BY_OTHERS = 0
-"""Code of an extension that programs skip unless they look for its text."""
+"""Extension code that programs skip unless they look for its text."""
 
 
 def export_nifti(path: Path, volume: Volume, names: Mapping[int, str]) -> None:
-    """Write a volume in RAS; a volume whose place is unknown gets its spacing alone.
+    """Write a volume in RAS; one with unknown position keeps only its spacing.
 
     Parameters
     ----------
     path : Path
-        Ends with ``.nii`` or ``.nii.gz``.
+        Ends in ``.nii`` or ``.nii.gz``.
     volume : Volume
     names : mapping of int to str
-        Names of its labels.
+        Names of the labels.
 
     Raises
     ------

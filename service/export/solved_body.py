@@ -1,4 +1,4 @@
-"""A body of a study, loaded once more so that all of its solution can be written."""
+"""A body of a study, solved again so that its whole solution can be exported."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -25,10 +25,10 @@ class SolvedBody:
     Parameters
     ----------
     title : str
-        Which body and which constants, for the header of a file.
+        Body and constants, for the header of a file.
     setup : Setup
     constants : mapping of str to float
-        Every parameter, inside names and units.
+        All parameters, in internal names and units.
     solved : Equilibrium
     """
 
@@ -39,22 +39,22 @@ class SolvedBody:
 
     @property
     def level(self) -> Level:
-        """The finest mesh under its problem."""
+        """Return the finest mesh with its problem."""
         return self.solved.levels[-1]
 
     @property
     def positions_mm(self) -> FloatArray:
-        """Where the nodes are, shape (n, 3)."""
+        """Return the positions of the nodes, shape (n, 3)."""
         return self.solved.states[-1].x
 
     @property
     def displacement_mm(self) -> FloatArray:
-        """Displacement from the imaged shape, shape (n, 3)."""
+        """Return the displacements from the imaged shape, shape (n, 3)."""
         return self.solved.solution.displacement_mm
 
     @cached_property
     def fields(self) -> ElementFields:
-        """Stress and strain."""
+        """Return stress and strain."""
         return element_fields(self.level, self.positions_mm)
 
     def deformed_labels(self) -> Volume:
@@ -69,7 +69,7 @@ class SolvedBody:
         Raises
         ------
         InputError
-            If that does not converge.
+            If the simulation does not converge.
         """
         return replace(self, solved=_solve(self.setup, problem))
 
@@ -81,24 +81,24 @@ def solve_body(
     title: str,
     target: SpecJson | None = None,
 ) -> SolvedBody:
-    """Load the body of a case.
+    """Solve the body of a case under its load.
 
     Parameters
     ----------
     case : mapping
-        As `CaseSpec` writes it.
+        In the format of `CaseSpec`.
     constants : mapping of str to float
-        Inside names and units; those left out are the case's own.
+        In internal names and units; missing ones are taken from the case.
     store : str
-        Where the store is: body and mesh are kept there.
+        Location of the store, which keeps body and mesh.
     title : str
     target : mapping, optional
-        As `TargetSpec` writes it. Plates at a distance stand where an imaged target was held.
+        In the format of `TargetSpec`. Plates at a distance are placed as in an imaged target.
 
     Raises
     ------
     InputError
-        If the simulation does not converge, or the organ has no tetrahedra to write.
+        If the simulation does not converge, or the organ has no tetrahedra.
     """
     spec = case_of(case)
     prepared = prepare_case(case, store)

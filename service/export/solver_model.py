@@ -1,12 +1,12 @@
-"""What another solver is told of a body: elements, materials, prescribed displacements.
+"""A body as a model for other solvers: elements, materials, prescribed displacements.
 
-The plates are replaced by what they did: every node that lies against a plate is given the
-displacement that it has in our solution, along the plate's normal where plates are flat, aligned
-with an axis and free of friction (tangentially it then stays free), and in all three components
-otherwise. Both solvers are then asked for the rest of the body.
+The plates are replaced by their effect: every node in contact with a plate is given its
+displacement from our solution, only along the plate's normal if plates are flat, aligned with an
+axis and frictionless (it is then free tangentially), and otherwise in all three components. Both
+solvers then compute the rest of the body.
 
-What another solver cannot be told is left out of ours too, see `comparable`, and the header of the
-file says how far that moves the nodes.
+Features that other solvers lack are removed from our model, too, see `comparable`; the header of
+the file states how far that moves the nodes.
 """
 
 from collections.abc import Mapping
@@ -21,9 +21,9 @@ from palpate.workers.mechanics.fem.elements.element_energy import deformation_gr
 from palpate.workers.mechanics.fem.elements.external_forces import stated_springs
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 
-# More materials than this are thinned out: their constants are rounded to fewer digits.
+# With more materials than this, constants are rounded to fewer digits.
 MOST_MATERIALS = 300
-# The solution that is compared is more exact than a search needs.
+# The compared solution is more accurate than a search needs.
 TOLERANCE_MM = 1e-4
 
 
@@ -37,7 +37,7 @@ class Fibres:
     direction : ndarray, shape (3,)
         Unit vector.
     elements : ndarray, shape (k,)
-        Those in which they act at the end: where they act in tension alone, the stretched ones.
+        Elements in which they act at the end: for tension-only fibres, the stretched ones.
     """
 
     eta_mpa: float
@@ -52,13 +52,13 @@ class Material:
     Parameters
     ----------
     name : str
-        Of its tissue, in capitals, with a number where a tissue has several.
+        Name of its tissue, in capitals, numbered if a tissue has several materials.
     elements : ndarray, shape (k,)
         Rows of the mesh.
     mu_mpa, kappa_mpa, c2_mpa : float
         ``mu/2 (I1bar - 3) + c2 (I1bar - 3)^2 + kappa/2 (J - 1)^2``.
     fibres : tuple of Fibres
-        The families that are there.
+        Its fibre families.
     """
 
     name: str
@@ -71,34 +71,34 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class SolverModel:
-    """A body of plain linear tetrahedra, at rest and with all that deforms it.
+    """A body of standard linear tetrahedra, at rest and with its loads.
 
     Parameters
     ----------
     title : str
     nodes : ndarray, shape (n, 3)
-        Without stress, in mm.
+        The stress-free shape, in mm.
     tets : ndarray, shape (m, 4)
     materials : tuple of Material
-        Together they name every element once.
+        Each element belongs to exactly one material.
     prescribed : ndarray of bool, shape (n, 3)
-        Components that are given.
+        Components with a prescribed displacement.
     displacement_mm : ndarray, shape (n, 3)
-        What they are; elsewhere our solution.
+        The prescribed displacements; elsewhere our solution.
     stated_springs_n_per_mm : ndarray, shape (n, 3)
-        Springs of the chest wall and of attachments to the ground, zero where there is none.
+        Springs of the chest wall and of attachments to the ground; zero if there is none.
     drift_n_per_mm : ndarray, shape (n, 3)
-        Springs too weak to be felt that keep a body between frictionless plates in its place.
+        Springs of negligible stiffness that hold a body in place between frictionless plates.
     force_n : ndarray, shape (n, 3)
-        Dead forces on the nodes, weight included.
+        Dead forces on the nodes, including weight.
     isochoric_fibre : bool
         Whether fibres are measured by I4bar instead of I4.
     tension_only : bool
-        Whether fibres that are shortened do nothing.
+        Whether fibres act in tension only.
     constants : mapping of str to float
         For the header.
     remarks : tuple of str
-        What was left out or approximated, and what the elements are worth.
+        Omissions and approximations, and the accuracy of the elements.
     """
 
     title: str
@@ -117,23 +117,23 @@ class SolverModel:
 
 
 def comparable(problem: Problem) -> Problem:
-    """Return the nearest problem that other solvers can be told.
+    """Return the closest problem that other solvers can represent.
 
     Raises
     ------
     InputError
-        If a tissue has a law that no file for them holds.
+        If a tissue has a law that the files cannot represent.
     """
     laws = {t.name.lower(): type(c.law).__name__ for t, c in problem.constants.items() if c.law}
     if laws:
         found = ", ".join(f"{tissue}: {law}" for tissue, law in laws.items())
         raise InputError(
-            "Files for CalculiX and FEBio, and --comparable, hold neo-Hookean tissue, but this "
+            "Files for CalculiX and FEBio, and --comparable, need neo-Hookean tissue, but this "
             f"model has other laws ({found}). Set case.model.law to neo-hookean, or export "
             ".vtu, .stl or .nrrd."
         )
     constants = {t: replace(c, growth=1.0) for t, c in problem.constants.items()}
-    if problem.isochoric_fibre:  # CalculiX has no material with these fibres that also stiffens
+    if problem.isochoric_fibre:  # CalculiX has no stiffening material with these fibres
         constants = {
             tissue: replace(c, stiffening=0.0) if c.fibre_mpa or c.second_fibre_mpa else c
             for tissue, c in constants.items()
@@ -149,12 +149,12 @@ def comparable(problem: Problem) -> Problem:
 
 
 def solver_model(own: SolvedBody, told: SolvedBody) -> SolverModel:
-    """State a body to another solver.
+    """Return a body as a model for other solvers.
 
     Parameters
     ----------
     own, told : SolvedBody
-        As it is, and with the `comparable` problem.
+        The body with its own problem, and with the `comparable` problem.
     """
     level = told.level
     stated = stated_springs(level.model, level.problem)
@@ -176,7 +176,7 @@ def solver_model(own: SolvedBody, told: SolvedBody) -> SolverModel:
 
 
 def contact_nodes(body: SolvedBody) -> BoolArray:
-    """Return which nodes lie against a plate, shape (n,)."""
+    """Return a mask of the nodes in contact with a plate, shape (n,)."""
     touching = np.zeros(len(body.level.model.nodes), np.bool_)
     for contact in body.level.plate_contacts(body.solved.states[-1], body.solved.stage):
         touching[contact.nodes.index[contact.gap < 0]] = True
@@ -184,14 +184,14 @@ def contact_nodes(body: SolvedBody) -> BoolArray:
 
 
 def _prescribed(body: SolvedBody) -> BoolArray:
-    """Return which displacement components are given: held places, and those at the plates."""
+    """Return a mask of the prescribed components: held nodes and contacts, shape (n, 3)."""
     given = np.asarray(body.level.free == 0)
     given[contact_nodes(body)] |= _plate_components(body)
     return given
 
 
 def _plate_components(body: SolvedBody) -> BoolArray:
-    """Return which components a plate prescribes, shape (3,)."""
+    """Return a mask of the components that a plate prescribes, shape (3,)."""
     every = np.ones(3, np.bool_)
     device = body.level.problem.load.device
     if device.friction:
@@ -232,7 +232,7 @@ def _materials(body: SolvedBody) -> list[Material]:
 
 
 def _active_fibres(body: SolvedBody) -> BoolArray:
-    """Return in which elements the fibres of each family act, shape (m, families)."""
+    """Return a mask of the elements in which each family acts, shape (m, families)."""
     m, elements = body.level.constants.material, body.level.model.elements
     if not m.tension_only:
         return np.ones(m.eta.shape, np.bool_)
@@ -242,9 +242,9 @@ def _active_fibres(body: SolvedBody) -> BoolArray:
 
 
 def _grouped(tissue: IntArray, shares: FloatArray, directions: FloatArray) -> tuple[IntArray, int]:
-    """Assign a number to each material; round until there are no more than `MOST_MATERIALS`."""
+    """Assign a material number to each element, rounding to at most `MOST_MATERIALS`."""
     for digits in (9, 3, 2, 1, 0):
-        # Constants by their logarithm: three digits are a thousandth.
+        # Constants by their logarithm: three digits are 0.1 %.
         size = np.round(np.log(np.maximum(shares, 1e-12)), digits)
         key = np.column_stack([tissue, size, np.round(directions, max(digits, 1))])
         _, group = np.unique(key, axis=0, return_inverse=True)
@@ -255,18 +255,18 @@ def _grouped(tissue: IntArray, shares: FloatArray, directions: FloatArray) -> tu
 
 
 def _remarks(own: SolvedBody, told: SolvedBody) -> list[str]:
-    """Say what another solver is not told, or only nearly."""
+    """Return remarks on features that other solvers lack or approximate."""
     problem = own.level.problem
     away = np.linalg.norm(own.positions_mm - told.positions_mm, axis=1)
     remarks = [
-        "Elements: textbook linear tetrahedra with one integration point. Palpate's own average "
-        "the volume at the nodes and lock less; the two meet as the mesh is refined.",
+        "Elements: textbook linear tetrahedra with one integration point. Palpate's elements "
+        "average the volume at the nodes and lock less; both converge as the mesh is refined.",
         f"Plates: replaced by the displacements of the {int(contact_nodes(told).sum())} nodes "
-        "that lie against them, " + _components_text(_plate_components(told)) + ".",
+        "in contact with them, " + _components_text(_plate_components(told)) + ".",
     ]
     if problem.membrane is not None:
         remarks.append(
-            "Skin: left out. It is a sheet that wrinkles, of E = "
+            "Skin: left out. It is a sheet that wrinkles, with E = "
             f"{problem.membrane.young_mpa * 1e3:g} kPa, {problem.membrane.thickness_mm:g} mm thick."
         )
     if any(c.growth != 1 for c in problem.constants.values()):
@@ -274,16 +274,16 @@ def _remarks(own: SolvedBody, told: SolvedBody) -> list[str]:
     if any(c.stiffening for c in problem.constants.values()) and problem.isochoric_fibre:
         remarks.append("Strain stiffening: left out in tissues with fibres.")
     if any(problem.imaged_gravity_g):
-        remarks.append("Nodes: the stress-free shape, which is not that of the image.")
+        remarks.append("Nodes: the stress-free shape, which differs from the image.")
     if problem.pressures:
         remarks.append("Pressure on the surface: left out.")
     if problem.variations:
         remarks.append("Gradients and inclusions: in steps; elements of a step share their mean.")
     remarks.append(
         f"All this together moves the nodes by {away.mean():.2g} mm (mean; at most "
-        f"{away.max():.2g} mm) from where Palpate has them. It has solved this very model, "
-        "too, and the displacements at the plates are those of that solution: compare with a .vtu "
-        "that `palpate export --comparable` writes, node by node."
+        f"{away.max():.2g} mm) compared with Palpate's own model. Palpate has solved this "
+        "simplified model, too, and its solution gives the displacements at the plates: "
+        "compare node by node with a .vtu from `palpate export --comparable`."
     )
     return remarks
 

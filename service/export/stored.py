@@ -1,4 +1,4 @@
-"""Files of the volumes and meshes of a store."""
+"""Export of the volumes and meshes of a store."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,11 +17,11 @@ from palpate.workers.body.images.nrrd_file import FRAME_KEY, PLACE_KEY
 from palpate.workers.body.mesh.hierarchy import from_arrays
 
 TISSUE_NAMES = {int(tissue): tissue.name.capitalize() for tissue in Tissue if tissue}
-"""Names of the labels of a tissue volume; 0 is background everywhere."""
+"""Names of the labels of a tissue volume; 0 is always background."""
 
 
 def export_volume(path: Path, volume: Volume, names: Mapping[int, str] | None = None) -> None:
-    """Write a volume as NRRD or NIfTI, so that `workers.body.images.read` reads it back.
+    """Write a volume as NRRD or NIfTI, readable by `workers.body.images.read`.
 
     Parameters
     ----------
@@ -29,8 +29,8 @@ def export_volume(path: Path, volume: Volume, names: Mapping[int, str] | None = 
         One of `service.export.suffixes.VOLUME_SUFFIXES`; any other suffix is written as NRRD.
     volume : Volume
     names : mapping of int to str, optional
-        Names of its labels, such as `TISSUE_NAMES`. In NRRD they are written as 3D Slicer does
-        in a ``.seg.nrrd``; give the file that name and Slicer opens it as a segmentation.
+        Names of its labels, such as `TISSUE_NAMES`. In NRRD they use the format of 3D Slicer's
+        ``.seg.nrrd``; with that suffix, Slicer opens the file as a segmentation.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def export_volume(path: Path, volume: Volume, names: Mapping[int, str] | None = 
 
 
 def _names_present(volume: Volume, names: Mapping[int, str]) -> dict[int, str]:
-    """Return the names of the labels that have a voxel."""
+    """Return the names of the labels that occur in a volume."""
     return {k: names[k] for k in label_counts(volume) if k in names} if names else {}
 
 
@@ -76,7 +76,7 @@ def _segments(names: Mapping[int, str]) -> dict[str, str]:
 def export_stored_mesh(
     path: Path, store: Store, mesh: str, displacement_mm: np.ndarray | None = None
 ) -> None:
-    """Write the finest mesh of a hierarchy, deformed when a displacement is given.
+    """Write the finest mesh of a hierarchy, deformed if a displacement is given.
 
     Parameters
     ----------
@@ -84,9 +84,9 @@ def export_stored_mesh(
         One of `service.export.suffixes.MESH_SUFFIXES`.
     store : Store
     mesh : str
-        Digest.
+        Digest of the hierarchy.
     displacement_mm : ndarray, shape (n, 3), optional
-        Added to the nodes, and kept as data at the nodes.
+        Added to the nodes, and written as nodal data.
     """
     finest = from_arrays(load_mesh(store, mesh)[0]).finest
     body, points = finest.mesh, {}

@@ -1,4 +1,4 @@
-"""The suffixes of what can be written, and the refusal of others."""
+"""Suffixes of the supported formats, and the check of a file name."""
 
 from pathlib import Path
 
@@ -11,12 +11,12 @@ MESH_SUFFIXES = (".vtu", ".vtk", ".msh")
 
 
 def solved_suffixes() -> tuple[str, ...]:
-    """Return the suffixes of the files that a solved body can be written to."""
+    """Return the suffixes to which a solved body can be exported."""
     return tuple(f".{name}" for name in plugins("exporters"))
 
 
 def suffix_of(path: Path, known: tuple[str, ...]) -> str:
-    """Return the longest of the known suffixes that a name ends with, else its own suffix.
+    """Return the longest known suffix of a name, else its own suffix.
 
     Examples
     --------
@@ -30,12 +30,12 @@ def suffix_of(path: Path, known: tuple[str, ...]) -> str:
 
 
 def check_suffix(path: Path | None, known: tuple[str, ...], option: str = "--out ") -> None:
-    """Refuse a file that could not be written, before anything is computed for it.
+    """Refuse an unsupported file name before anything is computed.
 
     Raises
     ------
     InputError
-        If its suffix is none of `known`, or its folder is missing.
+        If the suffix is not in `known`, or the folder is missing.
     """
     if path is None:
         return

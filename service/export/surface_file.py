@@ -1,7 +1,7 @@
-"""Writes the surface of a body as triangles, `.stl`, in its binary form.
+"""Export of a body's surface as triangles, binary `.stl`.
 
 A header of 80 bytes, the number of triangles, and for each its unit normal, three corners and two
-spare bytes, all little-endian in single precision; STL itself knows no units, these are mm.
+spare bytes, all little-endian in single precision. STL has no units; these are mm.
 """
 
 from pathlib import Path
@@ -23,7 +23,7 @@ def export_surface(path: Path, nodes: FloatArray, triangles: IntArray) -> None:
     nodes : ndarray, shape (n, 3)
         In mm.
     triangles : ndarray, shape (k, 3)
-        Corners, counter-clockwise as they are looked at from outside.
+        Corners, counter-clockwise when seen from outside.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def export_surface(path: Path, nodes: FloatArray, triangles: IntArray) -> None:
     written = np.zeros(len(triangles), TRIANGLE)
     written["normal"] = normal / np.maximum(size, 1e-30)
     written["corners"] = corners
-    # A binary file must not begin with "solid", which announces a text.
+    # A binary file must not begin with "solid", which marks a text file.
     header = b"Palpate, units mm".ljust(80) + np.uint32(len(triangles)).tobytes()
     with explained(path):
         write_file(path, header + written.tobytes())

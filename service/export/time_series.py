@@ -1,7 +1,7 @@
-"""Writes a body on its way from rest to load as a series of meshes for ParaView.
+"""Export of a body moving from rest to load as a series of meshes for ParaView.
 
-The displacement of the solution is scaled from 0 to 1. These are no load steps: between its
-ends the body is not in equilibrium, so the meshes carry no stress.
+The displacement of the solution is scaled from 0 to 1. These are not load steps: in between the
+body is not in equilibrium, so the meshes have no stress.
 """
 
 from pathlib import Path
@@ -19,10 +19,10 @@ STEPS = 10
 
 
 def export_series(path: Path, body: SolvedBody) -> None:
-    """Write a ``.pvd`` and, in a folder of its name beside it, a ``.vtu`` for each step.
+    """Write a ``.pvd`` and a ``.vtu`` for each step, in a folder of the same name next to it.
 
     Each mesh has ``displacement_mm`` at its nodes and ``tissue`` in its elements; the time is the
-    share of the displacement.
+    fraction of the displacement.
 
     Raises
     ------
@@ -50,5 +50,5 @@ def export_series(path: Path, body: SolvedBody) -> None:
 
 
 def rest_of(body: SolvedBody) -> FloatArray:
-    """Return the nodes in the imaged shape, shape (n, 3)."""
+    """Return the nodes of the imaged shape, shape (n, 3)."""
     return body.positions_mm - body.displacement_mm

@@ -1,8 +1,8 @@
-"""Writes results as the JSON records that `--json` prints.
+"""The JSON records printed by `--json`.
 
-Their keys are a promise to scripts that read them. Scores that are infinite are the texts
-"-inf" and "inf". A parameter is ``{"value": 10.0, "unit": "kPa"}``. Generations are counted
-from 1, as on the console and on the page.
+Scripts depend on the keys. Infinite scores are the texts "-inf" and "inf". A parameter is
+``{"value": 10.0, "unit": "kPa"}``. Generations are counted from 1, as on the console and on the
+page.
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ from palpate.storage.records.tasks import Scores
 
 
 def study_json(results: StudyResults) -> dict[str, Any]:
-    """Return the record that `palpate status --json`, `report --json` and `run --json` print."""
+    """Return the record printed by `palpate status --json`, `report --json` and `run --json`."""
     spec = results.spec
     record = {
         "study": results.name,
@@ -65,13 +65,13 @@ def study_json(results: StudyResults) -> dict[str, Any]:
 
 
 def candidate_json(results: CandidateResults, *, everything: bool = False) -> dict[str, Any]:
-    """Return the record that `palpate show --json` prints.
+    """Return the record printed by `palpate show --json`.
 
     Parameters
     ----------
     results : CandidateResults
     everything : bool
-        With the constants at their neutral values.
+        Whether to include constants at their neutral values.
     """
     record: dict[str, Any] = {
         "study": results.spec.name,

@@ -16,14 +16,14 @@ SCORES = ("jc", "mhd_mm", "gsf")
 def evaluation_columns(
     endings: Mapping[int, EvaluationRecord], parameters: Mapping[str, Any]
 ) -> Columns:
-    """Return every evaluation that has ended, in the order of the candidates.
+    """Return the evaluations that have ended, in the order of the candidates.
 
     Parameters
     ----------
     endings : mapping of int to EvaluationRecord
-        By candidate.
+        Endings by candidate.
     parameters : mapping
-        The searched parameters, by their names in the study file.
+        The searched parameters by their names in the study file.
     """
     records = [record for _, record in sorted(endings.items())]
     columns: Columns = {
@@ -41,7 +41,7 @@ def evaluation_columns(
 
 
 def generation_columns(results: StudyResults) -> Columns:
-    """Return every generation: ``best`` and ``mean`` are NaN until all its scores are known."""
+    """Return the generations; ``best`` and ``mean`` are NaN until all scores are known."""
     rows = results.generations
     scores = [g.scores for g in rows]
     best = [np.nan if s is None else s.best for s in scores]
@@ -60,7 +60,7 @@ def generation_columns(results: StudyResults) -> Columns:
 
 
 def estimate_columns(results: StudyResults) -> Columns:
-    """Return every searched parameter with its interval, and whether it may be quoted."""
+    """Return the searched parameters with their intervals and whether they may be quoted."""
     rows = list(results.estimates.values())
 
     def numbers(values: list[float | None]) -> NDArray[np.float64]:

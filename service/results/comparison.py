@@ -1,4 +1,4 @@
-"""Several studies side by side: constants, scores, settings that differ, convergence."""
+"""Comparison of several studies: constants, scores, differing settings, convergence."""
 
 import csv
 import io
@@ -20,7 +20,7 @@ from palpate.storage.plain import to_plain
 from palpate.storage.records.best_candidate import score_of
 from palpate.storage.records.record import EvaluationRecord
 
-# Of the record of a study that `palpate report --json` prints.
+# Keys from the record that `palpate report --json` prints.
 SHARED_KEYS = (
     "study", "folder", "state", "stopped", "caveats", "identifiable", "ratios", "estimates",
     "score", "evaluations", "seconds",
@@ -29,24 +29,24 @@ SCORES = ("jc", "mhd_mm", "gsf")
 TABLE = (
     "study", "quantity", "unit", "value", "lower", "upper", "target", "quotable", "reasons",
 )  # fmt: skip
-# A name is told apart elsewhere.
+# Differences in the name are shown elsewhere.
 UNTOLD = frozenset({"name"})
 GSF_AXIS = "GSF"
-# A part of the file that some studies leave out and others set to nothing.
+# A section of the file that some studies leave out and others set to null.
 EMPTY = frozenset({str(None), ABSENT})
 
 
 @dataclass(frozen=True)
 class ComparedStudy:
-    """One of the studies of a comparison.
+    """One study of a comparison.
 
     Parameters
     ----------
     label : str
-        Its name, or its folder where two studies have the same name.
+        Its name, or its folder if several studies have the same name.
     results : StudyResults
     lowest_scores : tuple of float
-        The lowest score after 1, 2, 3 ... evaluations; +inf until one has a score.
+        The lowest score after 1, 2, 3 ... evaluations; +inf before the first score.
     """
 
     label: str
@@ -56,17 +56,16 @@ class ComparedStudy:
 
 @dataclass(frozen=True)
 class StudyComparison:
-    """Several studies side by side.
+    """A comparison of several studies.
 
     Parameters
     ----------
     studies : tuple of ComparedStudy
-        In the order in which they were given.
+        In the given order.
     settings : mapping of str to tuple
-        Keys of the study file that differ, each with its value in every study; ``absent`` where a
-        study does not have it.
+        Differing keys of the study file, each with its value in every study, or ``absent``.
     axis : str
-        The score of `lowest_scores`: what the studies minimise, or GSF where they differ in that.
+        The score in `lowest_scores`: the one that all studies minimise, or else GSF.
     """
 
     studies: tuple[ComparedStudy, ...]
@@ -75,17 +74,17 @@ class StudyComparison:
 
     @property
     def genes(self) -> tuple[str, ...]:
-        """Return the constants that any of the studies searched, by their names in its file."""
+        """Return the constants searched by any of the studies, by their names in the file."""
         return tuple(
             dict.fromkeys(e.gene for s in self.studies for e in s.results.estimates.values())
         )
 
     def estimate(self, study: ComparedStudy, gene: str) -> ParameterEstimate | None:
-        """Return the estimate of a constant in a study; None where it was not searched."""
+        """Return a study's estimate of a constant; None if it was not searched."""
         return next((e for e in study.results.estimates.values() if e.gene == gene), None)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the record that `palpate compare --json` prints."""
+        """Return the record printed by `palpate compare --json`."""
         studies = []
         for study in self.studies:
             whole = study_json(study.results)
@@ -96,7 +95,7 @@ class StudyComparison:
         )
 
     def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield a row for each constant and score of each study, with the keys of `TABLE`."""
+        """Yield a row for each constant and score of each study, with the keys in `TABLE`."""
         for study in self.studies:
             for e in study.results.estimates.values():
                 lower, upper = e.interval or (None, None)
@@ -110,7 +109,7 @@ class StudyComparison:
                     yield _row(study.label, name, unit, value, None, None, None, None, "")
 
     def as_csv(self) -> str:
-        """Return `rows` as CSV with a line of headings; what is not known is empty."""
+        """Return `rows` as CSV with a header; unknown values are empty."""
         text = io.StringIO()
         writer = csv.DictWriter(text, TABLE, lineterminator="\n")
         writer.writeheader()
@@ -119,12 +118,12 @@ class StudyComparison:
 
 
 def compare_studies(folders: Sequence[Path]) -> StudyComparison:
-    """Read several studies and compare them; some may be running meanwhile.
+    """Read several studies, which may be running, and compare them.
 
     Raises
     ------
     InputError
-        If there are fewer than two, one is given twice, or a folder holds no study.
+        If there are fewer than two, one is repeated, or a folder has no study.
     JournalError
         If a journal is damaged.
     """

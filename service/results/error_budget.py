@@ -1,20 +1,20 @@
-r"""Errors of the fitted constants beside the noise of the image.
+r"""Errors of the fitted constants other than the noise of the image.
 
 The best candidate is also evaluated with the derivatives by nuisance parameters, and on a mesh of
-another size. A group b of nuisance parameters, :math:`b \sim N(0, P)`, moves the constants by
+another size. A group b of nuisance parameters, :math:`b \sim N(0, P)`, shifts the constants by
 :math:`-A^{-1} B b`, with the blocks A, B and D of J'J. Its posterior and its log Bayes factor are
 
 .. math:: M = \frac{D - B'A^{-1}B}{s^2} + P^{-1}, \qquad
           \hat b = -M^{-1} \frac{g_b - B'A^{-1}g}{s^2}, \qquad
           \ln K = \tfrac12 \hat b'M\hat b - \tfrac12 \ln |P M|.
 
-It adds :math:`\hat\delta^2 + \mathrm{var}` of the shift to the variance of a constant, times the
-probability of the group (discrepancy as a model of its own: M. C. Kennedy, A. O'Hagan, J. R. Stat.
-Soc. B 63 (2001) 425). A group that the residual supports decisively contradicts the estimate.
+The variance of a constant grows by :math:`\hat\delta^2 + \mathrm{var}` of the shift, times the
+probability of the group (separate discrepancy model: M. C. Kennedy, A. O'Hagan, J. R. Stat.
+Soc. B 63 (2001) 425). A group with decisive support from the residual contradicts the estimate.
 
-The mesh's share is the Gauss step between the two meshes. One shift is one draw of an error whose
-size it shares with the shifts of the other constants, so half of its square is the average over
-the constants in units of their noise.
+The mesh error is estimated by the Gauss step between the two meshes. One shift is a single draw
+from a distribution with the same relative width for all constants, so half of its square is
+averaged over the constants in units of their noise.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,12 +26,12 @@ from palpate.service.search.space import FloatArray
 from palpate.storage.records.tasks import FitJson, MeshFit
 from palpate.workers.organs.nuisances import Nuisance
 
-# Of a group of nuisance parameters before data, against a model that is right.
+# Prior probability of a group of nuisance parameters, against a correct model.
 PRIOR_ODDS = 0.1
-# From this log Bayes factor on, 150 to 1, a group contradicts the estimates.
+# Above this log Bayes factor (150 to 1) a group contradicts the estimates.
 DECISIVE = 5.0
-# Error of the study's mesh over the step to the other one. Meshes of 2,000 and 6,000 nodes differ
-# by a scatter rather than by a trend; see tests/benchmarks/interval_coverage.py.
+# Ratio of the study's mesh error to the step to the other mesh. Meshes of 2,000 and 6,000 nodes
+# differ by scatter rather than by a trend; see tests/benchmarks/interval_coverage.py.
 MESH_FACTOR = 1.0
 IMAGE, MISFIT, MESH = "image", "misfit", "mesh"
 
@@ -44,9 +44,9 @@ class LocalProblem:
     ----------
     names : tuple of str
     scale : ndarray, shape (p,)
-        Coordinate per parameter of the fit.
+        Coordinate units per unit of the fit's parameter.
     root : ndarray, shape (p, k)
-        Of the inverse of J'J, ``root @ root.T``, without directions that are not seen.
+        Root of the inverse of J'J, ``root @ root.T``, without unidentified directions.
     gradient : ndarray, shape (p,)
         J'r.
     noise_factor : float
@@ -61,7 +61,7 @@ class LocalProblem:
 
     @property
     def inverse(self) -> FloatArray:
-        """Return the inverse of J'J, without directions that are not seen."""
+        """Return the inverse of J'J, without unidentified directions."""
         return np.asarray(self.root @ self.root.T)
 
 
@@ -74,9 +74,9 @@ class ErrorSource:
     name : str
         As a noun phrase: ``mesh``, ``the place of the scan``.
     root : ndarray, shape (p, k)
-        Of the covariance of the coordinates, ``root @ root.T``.
+        Root of the covariance of the coordinates, ``root @ root.T``.
     log_bayes_factor : float
-        By which the residual supports it, in nats; 0 where that is not asked.
+        Its support from the residual, in nats; 0 if not computed.
     """
 
     name: str
@@ -85,23 +85,23 @@ class ErrorSource:
 
     @property
     def sd(self) -> FloatArray:
-        """Return the standard deviation that it gives each coordinate."""
+        """Return its standard deviation for each coordinate, shape (p,)."""
         return np.asarray(np.sqrt((self.root**2).sum(axis=1)))
 
     def sd_along(self, slope: FloatArray) -> float:
-        """Return the standard deviation of a value with these derivatives by the coordinates."""
+        """Return its standard deviation for a value, given derivatives by the coordinates."""
         return float(np.linalg.norm(slope @ self.root))
 
     @property
     def supported(self) -> bool:
-        """Return whether the residual supports it decisively."""
+        """Return True if it has decisive support from the residual."""
         return self.log_bayes_factor > DECISIVE
 
 
 def nuisance_sources(
     local: LocalProblem, fit: FitJson, nuisances: Iterable[Nuisance]
 ) -> list[ErrorSource]:
-    """Return a source of error for each group of nuisance parameters that `fit` has."""
+    """Return a source of error for each group of nuisance parameters in `fit`."""
     groups: dict[str, list[Nuisance]] = {}
     for one in nuisances:
         if one.name in fit["parameters"]:
@@ -110,7 +110,7 @@ def nuisance_sources(
 
 
 def mesh_source(local: LocalProblem, meshes: Sequence[MeshFit]) -> ErrorSource | None:
-    """Return the error of the mesh, from the finest of the other meshes; None without any."""
+    """Return the mesh error from the finest of the other meshes; None without other meshes."""
     if not meshes:
         return None
     finest = max(meshes, key=lambda one: one["nodes"])
@@ -137,7 +137,7 @@ def _group(
     mean = -np.linalg.solve(precision, pull)
     gain = -0.5 * float(pull @ mean) - 0.5 * float(np.linalg.slogdet(precision)[1])
     always = any(one.always for one in members)
-    # What is always possible needs no support; else log(1 + 1/odds) is -log(probability).
+    # A source that is always possible needs no support; else log(1 + 1/odds) is -log(probability).
     odds = gain + np.log(PRIOR_ODDS)
     probability = 1.0 if always else float(np.exp(-np.logaddexp(0.0, -odds)))
     spread = np.linalg.cholesky(np.linalg.inv(precision))
@@ -151,9 +151,9 @@ def _gradient(local: LocalProblem, fit: FitJson) -> FloatArray:
 
 
 def in_words(errors: Mapping[str, float], estimate: float) -> str:
-    """Return the sources of an error as per cent of an estimate, the largest first.
+    """Return the sources of an error as percentages of an estimate, the largest first.
 
-    Sources below a tenth of the largest are left out.
+    Sources below a tenth of the largest are omitted.
 
     Examples
     --------

@@ -1,16 +1,16 @@
-r"""Says how well an image determines each constant of a model.
+r"""Identifiability of each constant of a model from an image.
 
 With the residuals r of the best candidate, in units of their noise, and their derivatives J,
-Gauss' step leads to the constants that explain the image best, and the inverse of the
+the Gauss step leads to the constants that explain the image best, and the inverse of the
 information bounds their covariance from below (H. Cramér 1946, C. R. Rao 1945):
 
 .. math:: \delta = -(J'J)^{-1} J' r, \qquad C = s^2 (J'J)^{-1}, \qquad
           s^2 = \max\left(1, \frac{|r + J\delta|^2}{m - p}\right).
 
-The factor s widens the intervals where the model leaves more than the noise; so do the mesh and
-what the model may lack, see `service.results.error_budget`. An interval
-reaches from the lower to the upper end of the two that belong to the best candidate and to
-:math:`\delta` from there, so that it also holds what the search itself has left undone.
+The factor s widens the intervals if the residual exceeds the noise. The mesh and possible model
+errors widen them, too, see `service.results.error_budget`. An interval spans the intervals
+around the best candidate and around :math:`\delta` from there, so that it also covers the
+unfinished part of the search.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,11 +30,11 @@ from palpate.service.search.space import FloatArray
 from palpate.storage.records.tasks import FitJson
 
 LEVEL = 0.9
-# A constant is weakly determined when its interval is wider than this part of its value.
+# A constant is weakly determined if its interval is wider than this fraction of its value.
 WEAK_PART = 0.5
-# Of candidates that are equally good, for an interval from their scatter.
+# Fewest equally good candidates for an interval from their scatter.
 FEWEST_CANDIDATES = 5
-# From this correlation on, the value of one constant depends on the place of another.
+# Above this correlation, the value of one constant depends on that of another.
 DEPENDENT = 0.3
 TANGENTS, SCATTER = "tangents", "scatter of equally good candidates"
 
@@ -43,14 +43,14 @@ Identifiable = Literal["value", "ratio", "weak", "unknown"]
 
 @dataclass(frozen=True)
 class Interval:
-    """Where a constant lies.
+    """The interval of a constant.
 
     Parameters
     ----------
     lower, upper : float
-        In the unit at the door.
+        In external units.
     level : float
-        How often an interval of this kind holds the true value.
+        Probability that the interval covers the true value.
     origin : str
         ``tangents``, or ``scatter of equally good candidates``.
     """
@@ -63,25 +63,25 @@ class Interval:
 
 @dataclass(frozen=True)
 class IdentifiedConstant:
-    """What the image tells of one searched constant.
+    """The identifiability of one searched constant.
 
     Parameters
     ----------
     name : str
-        Inside, such as ``E_fat``.
+        Internal name, such as ``E_fat``.
     estimate : float
-        Of the best candidate, in `unit`.
+        Value of the best candidate, in `unit`.
     unit : str
         Such as kPa; empty for a pure number.
     interval : Interval or None
-        None where only ratios can be found, or nothing is known.
+        None if only ratios can be found, or nothing is known.
     identifiable : {"value", "ratio", "weak", "unknown"}
         ``ratio``: only its ratio to the others, see `IdentifiedRatio`. ``weak``: the interval
-        is wider than half the value. ``unknown``: it is wider than what was searched.
+        is wider than half the value. ``unknown``: it is wider than the searched interval.
     errors : mapping of str to float
-        Standard deviation that each source of error contributes to the interval, in `unit`.
+        Standard deviation contributed by each source of error, in `unit`.
     depends_on : tuple of str
-        Constants at a bound of the search on which the value depends.
+        Constants at a bound of the search that affect the value.
     """
 
     name: str
@@ -95,16 +95,16 @@ class IdentifiedConstant:
 
 @dataclass(frozen=True)
 class IdentifiedRatio:
-    """What the image tells of the ratio of two constants.
+    """The identifiability of the ratio of two constants.
 
     Parameters
     ----------
     numerator, denominator : str
-        Names inside.
+        Internal names.
     estimate : float
     interval : Interval or None
     identifiable : {"value", "weak", "unknown"}
-        Of the ratio itself.
+        Identifiability of the ratio.
     """
 
     numerator: str
@@ -116,36 +116,36 @@ class IdentifiedRatio:
 
 @dataclass(frozen=True)
 class Identification:
-    """What an image tells of the constants of a model.
+    """The identifiability of a model's constants from an image.
 
     Parameters
     ----------
     candidate : int
-        The best one, at which it was looked.
+        The best candidate, at which the derivatives were taken.
     constants : mapping of str to IdentifiedConstant
-        By name inside.
+        By internal name.
     ratios : tuple of IdentifiedRatio
-        Where only ratios can be found; else empty.
+        Ratios, if only these can be found; otherwise empty.
     names : tuple of str
-        Of rows and columns of the correlation.
+        Names of the rows and columns of the correlation.
     correlation : tuple of tuple of float
-        Of the constants' errors; empty without tangents.
+        Correlation of the constants' errors; empty without derivatives.
     directions : tuple of Direction
-        From the best to the least known; empty without tangents.
+        From the best to the least determined; empty without derivatives.
     residual_rms_mm : float or None
-        Between the interfaces of model and image.
+        RMS distance between the interfaces of model and image.
     noise : str
-        What the residuals were divided by, in words.
+        The noise by which the residuals were divided, as text.
     noise_factor : float
-        How many times larger than that noise the residuals are; 1 if not larger.
+        Ratio of the residuals to that noise, at least 1.
     note : str
-        Why there is less than usual; empty otherwise.
+        Why information is missing; empty otherwise.
     converged : bool
-        Whether the best candidate is at the least sum of squares; intervals are withheld if not.
+        Whether the best candidate minimises the sum of squares; if not, intervals are withheld.
     supported : tuple of str
-        Errors of the scan or the model that the residual supports decisively, as noun phrases.
+        Errors of the scan or the model with decisive support from the residual, as noun phrases.
     derived : mapping of str to RelativeInterval
-        Intervals of values that the constants determine, such as G0 of a cornea.
+        Intervals of values derived from the constants, such as G0 of a cornea.
     """
 
     candidate: int
@@ -164,7 +164,7 @@ class Identification:
 
     @property
     def weak(self) -> tuple[str, ...]:
-        """Return the names of the constants that are weakly determined or not at all."""
+        """Return the names of the constants that are weakly determined or undetermined."""
         return tuple(
             name for name, c in self.constants.items() if c.identifiable in ("weak", "unknown")
         )
@@ -183,12 +183,12 @@ def identification_from_tangents(
     ----------
     searched : SearchedConstants
     candidate : int
-        The best one.
+        The best candidate.
     fit : FitJson
     others : OtherProblems, optional
         The same candidate with nuisance parameters and on other meshes.
     derived : sequence of mapping
-        Values that the constants determine: ``name``, ``slope``, ``mesh_shift`` and ``mesh_sd``,
+        Values derived from the constants: ``name``, ``slope``, ``mesh_shift`` and ``mesh_sd``,
         see `LocalModel.relative_interval`.
     """
     local = LocalModel(fit, searched, others)
@@ -220,9 +220,9 @@ def identification_from_scatter(
     equally_good: Sequence[Mapping[str, float]],
     note: str,
 ) -> Identification:
-    """Return what the scatter of equally good candidates tells; constants inside.
+    """Return the identification from the scatter of equally good candidates, internal units.
 
-    With fewer than `FEWEST_CANDIDATES` of them there are no intervals.
+    With fewer than `FEWEST_CANDIDATES` candidates there are no intervals.
     """
     constants = {}
     for name in searched.bounds:
@@ -248,7 +248,7 @@ def _constant(searched: SearchedConstants, local: LocalModel, i: int) -> Identif
 
 
 def _depends_on(local: LocalModel, i: int) -> tuple[str, ...]:
-    """Return the constants at a bound whose errors are correlated with those of constant i."""
+    """Return the constants at a bound whose errors correlate with those of constant i."""
     return tuple(
         name
         for j, name in enumerate(local.names)
@@ -259,7 +259,7 @@ def _depends_on(local: LocalModel, i: int) -> tuple[str, ...]:
 def _judged(
     searched: SearchedConstants, name: str, value: float, ends: FloatArray | None, origin: str
 ) -> IdentifiedConstant:
-    """Return a constant with its interval, given inside units, and what that says of it."""
+    """Return a constant with its interval, given in internal units, and its identifiability."""
     parameter, estimate = searched.parameter(name), searched.at_door(name, value)
     if name in searched.common_scale:
         return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "ratio")
@@ -276,7 +276,7 @@ def _judged(
 
 
 def _ratios(local: LocalModel) -> list[IdentifiedRatio]:
-    """Return the ratios of the constants that share an unknown scale to the first of them."""
+    """Return the ratios of constants with an unknown common scale to the first of them."""
     common = [i for i in range(len(local.names)) if local.common[i] and local.logarithmic[i]]
     found = []
     for i in common[1:]:

@@ -1,6 +1,6 @@
-"""The least-squares problem near the best candidate: covariance, directions, ends of intervals.
+"""The least-squares problem near the best candidate: covariance, directions, interval ends.
 
-`service.results.identification` has the formulas, and says what they mean for each constant.
+`service.results.identification` has the formulas and their interpretation.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,13 +23,13 @@ from palpate.storage.records.tasks import FitJson, MeshFit
 from palpate.workers.mechanics.parameters import Parameter, Vocabulary
 from palpate.workers.organs.nuisances import Nuisance
 
-# Of the normal distribution: nine out of ten lie within so many standard deviations.
+# Quantile of the normal distribution: 90 % are within this many standard deviations.
 DEVIATIONS = 1.6449
-# A direction with less information than this part of the most informed one is not seen at all.
+# A direction with less than this fraction of the largest information is not identified.
 UNSEEN = 1e-10
-# A sum of squares that a step would lower by more, in units of the noise, is not at its least.
+# Above this possible reduction, in units of the noise, a sum of squares is not at its minimum.
 MOST_FALL = 9.0
-# Constants with a smaller share of a direction are not named in it.
+# Constants with a smaller share of a direction are not listed in it.
 LEAST_SHARE = 0.15
 
 
@@ -40,13 +40,13 @@ class Direction:
     Parameters
     ----------
     weights : mapping of str to float
-        Of the logarithms of the constants (of the constants themselves, over their searched
-        interval, where they may be zero), by name; the largest is 1.
+        By name, of the logarithms of the constants (or of a constant over its searched interval
+        if it may be zero); the largest is 1.
     relative_sd : float or None
-        Standard deviation of the constant whose weight is 1, along it; None where nothing is
-        seen of it.
+        Standard deviation, along the direction, of the constant whose weight is 1; None if the
+        direction is not identified.
     words : str
-        Such as ``eta_fat and E_fat trade 1 : 0.3, known to 12 %``.
+        A description such as ``eta_fat and E_fat trade 1 : 0.3, known to 12 %``.
     """
 
     weights: Mapping[str, float]
@@ -56,14 +56,14 @@ class Direction:
 
 @dataclass(frozen=True)
 class RelativeInterval:
-    """The 90 % interval of a value that the constants determine, over its best estimate.
+    """The 90 % interval of a value derived from the constants, relative to its best estimate.
 
     Parameters
     ----------
     lower, upper : float
-        Factors of the estimate.
+        Factors by which the estimate is multiplied.
     errors : mapping of str to float
-        Relative standard deviation that each source of error contributes.
+        Relative standard deviation contributed by each source of error.
     """
 
     lower: float
@@ -73,16 +73,16 @@ class RelativeInterval:
 
 @dataclass(frozen=True)
 class OtherProblems:
-    """The least-squares problem of the best candidate under other circumstances.
+    """Other least-squares problems of the best candidate.
 
     Parameters
     ----------
     nuisances : FitJson or None
-        With the nuisance parameters.
+        Problem with the nuisance parameters.
     priors : tuple of Nuisance
-        What is known of these before data.
+        Priors of the nuisance parameters.
     meshes : sequence of MeshFit
-        On other meshes.
+        Problems on other meshes.
     """
 
     nuisances: FitJson | None = None
@@ -92,16 +92,16 @@ class OtherProblems:
 
 @dataclass(frozen=True)
 class SearchedConstants:
-    """The searched constants of a study, as an identification needs them.
+    """The searched constants of a study, as needed for an identification.
 
     Parameters
     ----------
     vocabulary : Vocabulary
         Names and units.
     bounds : mapping of str to (float, float)
-        Inside names and units.
+        In internal names and units.
     common_scale : tuple of str
-        Names of stiffnesses of which only ratios can be found; empty if all can be found.
+        Names of stiffnesses known only up to a common factor; empty if all can be found.
     """
 
     vocabulary: Vocabulary
@@ -109,18 +109,18 @@ class SearchedConstants:
     common_scale: tuple[str, ...] = field(default=())
 
     def parameter(self, name: str) -> Parameter:
-        """Return a parameter by its inside name."""
+        """Return a parameter by its internal name."""
         return self.vocabulary[name]
 
     def at_door(self, name: str, value: float) -> float:
-        """Return an inside value in the unit of the door."""
+        """Convert an internal value to its external unit."""
         return float(self.vocabulary[name].unit.to_door(value))
 
 
 class LocalModel:
-    """The least-squares problem near a candidate, in coordinates without units.
+    """The least-squares problem near a candidate, in dimensionless coordinates.
 
-    A coordinate is the logarithm of a constant, or the constant over its searched interval.
+    A coordinate is the logarithm of a constant, or the constant divided by its searched interval.
     """
 
     def __init__(
@@ -156,15 +156,15 @@ class LocalModel:
         return tuple(tuple(float(v) for v in row) for row in matrix)
 
     def unseen(self, i: int) -> bool:
-        """Return whether a direction that is not seen holds much of a coordinate."""
+        """Return True if a coordinate has a large share in an unidentified direction."""
         return bool((np.abs(self.eigenvectors[i, ~self.seen]) > LEAST_SHARE).any())
 
     def ends(self, i: int) -> FloatArray:
-        """Return the interval of a constant, inside units."""
+        """Return the interval of a constant, in internal units."""
         return self.moved(i, np.array(self.coordinate_ends(i)))
 
     def coordinate_ends(self, i: int) -> tuple[float, float]:
-        """Return the interval of a coordinate, from the candidate."""
+        """Return the interval of a coordinate, relative to the candidate."""
         unseen = float((self.unseen_root[i] ** 2).sum())
         variance = unseen + sum(source.sd[i] ** 2 for source in self.sources)
         reach = DEVIATIONS * float(np.sqrt(variance))
@@ -182,16 +182,16 @@ class LocalModel:
         mesh_shift: float | None = None,
         mesh_sd: float | None = None,
     ) -> RelativeInterval:
-        """Return the interval of a value that the constants determine.
+        """Return the interval of a value derived from the constants.
 
         Parameters
         ----------
         slope : mapping of str to float
-            Derivatives of the logarithm of the value by the logarithms of the constants, by name
-            inside; constants that are not searched are left out.
+            Derivatives of the value's logarithm by the logarithms of the constants, by
+            internal name; constants that are not searched are left out.
         mesh_shift, mesh_sd : float, optional
-            Part by which the mesh raises the value, and its standard deviation, where they are
-            known better than from the least-squares problem on another mesh.
+            Relative increase of the value due to the mesh, and its standard deviation, if they
+            are known better than from the least-squares problem on another mesh.
         """
         by_log = np.array([slope.get(name, 0.0) for name in self.names])
         held = np.where(self.values == 0.0, 1.0, self.values)
@@ -208,26 +208,26 @@ class LocalModel:
         )
 
     def errors(self, i: int) -> dict[str, float]:
-        """Return the standard deviation that each source gives a constant, inside units."""
+        """Return each source's standard deviation for a constant, in internal units."""
         unit = abs(self.values[i]) if self.logarithmic[i] else self.scale[i]
         return {source.name: float(source.sd[i] * unit) for source in self.sources}
 
     @property
     def supported(self) -> tuple[str, ...]:
-        """Return the sources of error that the residual supports decisively, the best first."""
+        """Return the sources of error with decisive support from the residual, best first."""
         found = [source for source in self.sources if source.supported]
         return tuple(s.name for s in sorted(found, key=lambda s: -s.log_bayes_factor))
 
     @property
     def converged(self) -> bool:
-        """Return whether Gauss' step leads nowhere else, in the constants off their bounds."""
+        """Return True if the Gauss step is negligible in all constants off their bounds."""
         free = np.array([not self.at_bound(i) for i in range(len(self.names))])
         part, gradient = self.information[np.ix_(free, free)], self.gradient[free]
         inverse = np.linalg.pinv(part, rcond=UNSEEN, hermitian=True)
         return float(gradient @ inverse @ gradient) <= MOST_FALL * self.noise_factor**2
 
     def at_bound(self, i: int) -> bool:
-        """Return whether a constant is at a bound of the search."""
+        """Return True if a constant is at a bound of the search."""
         low, high = self.bounds[i]
         return at_edge(float(self.values[i]), (float(low), float(high)))
 
@@ -246,7 +246,7 @@ class LocalModel:
         return tuple(found) if mesh is None else (*found, mesh)
 
     def moved(self, i: int, by: FloatArray) -> FloatArray:
-        """Return values of a constant at distances from the candidate, inside units."""
+        """Return values of a constant at distances from the candidate, in internal units."""
         if self.logarithmic[i]:
             return np.asarray(self.values[i] * np.exp(np.clip(by, -50.0, 50.0)))
         return np.asarray(self.values[i] + self.scale[i] * by)
@@ -254,7 +254,7 @@ class LocalModel:
     def ratio_ends(self, i: int, j: int) -> tuple[float, float]:
         """Return the interval of constant i over constant j, both logarithmic.
 
-        Scaling both changes nothing, so j is held and the rest left free.
+        A common factor changes nothing, so j is held and the other constants are free.
         """
         others = [k for k in range(len(self.names)) if k != j]
         part = self.information[np.ix_(others, others)]
@@ -268,7 +268,7 @@ class LocalModel:
         return ratio * float(np.exp(max(low, -50.0))), ratio * float(np.exp(min(high, 50.0)))
 
     def directions(self) -> list[Direction]:
-        """Return the eigenvectors of the information, from the best to the least known."""
+        """Return the eigenvectors of the information, from the best to the least determined."""
         found = []
         for k in range(len(self.names))[::-1]:
             vector = self.eigenvectors[:, k]
@@ -282,14 +282,14 @@ class LocalModel:
         return found
 
     def _inverse(self) -> FloatArray:
-        """Return the inverse of the information, without what is not seen."""
+        """Return the inverse of the information, without unidentified directions."""
         vectors = self.eigenvectors[:, self.seen]
         return np.asarray((vectors / self.eigenvalues[self.seen]) @ vectors.T)
 
     def _unseen_root(self, bounds: FloatArray) -> FloatArray:
-        """Return a root of the covariance of what is not seen: all that was searched is possible.
+        """Return a root of the covariance along unidentified directions, shape (p, k).
 
-        Shape (p, k), for k directions.
+        Along each of the k directions the whole searched interval is possible.
         """
         logs = np.log(np.maximum(bounds, 1e-300))
         width = np.where(self.logarithmic, np.ptp(logs, axis=1), 1.0)
@@ -307,7 +307,7 @@ class LocalModel:
 
 
 def _in_words(weights: Mapping[str, float], sd: float | None) -> str:
-    """Return a direction as a sentence without its full stop."""
+    """Return the description of a direction, without a full stop."""
     named = sorted(
         ((n, w) for n, w in weights.items() if abs(w) >= LEAST_SHARE),
         key=lambda pair: -abs(pair[1]),

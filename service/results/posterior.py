@@ -1,14 +1,14 @@
-r"""The posterior of the searched constants, whose central 90 % are the stated intervals.
+r"""The posterior of the searched constants; the reported intervals are its central 90 %.
 
 In the coordinates of `service.results.local_model` the errors of all sources are normal, with the
-covariance :math:`\Sigma`. The interval of coordinate i reaches from :math:`l_i` to :math:`u_i`,
-which is wider than :math:`\pm 1.64 \sqrt{\Sigma_{ii}}` by what the search has left undone. The
-posterior keeps the correlations and takes middle and width from the interval:
+covariance :math:`\Sigma`. The interval of coordinate i is :math:`l_i` to :math:`u_i`, which is
+wider than :math:`\pm 1.64 \sqrt{\Sigma_{ii}}` if the search is unfinished. The posterior keeps
+the correlations and takes its centre and width from the interval:
 
 .. math:: x \sim N(m, D \Sigma D), \qquad m_i = \frac{l_i + u_i}{2}, \qquad
           D_{ii} = \frac{u_i - l_i}{2 \cdot 1.64 \sqrt{\Sigma_{ii}}}.
 
-Draws beyond the admissible values of a constant are moved to their ends, as the intervals are.
+Draws beyond the admissible values of a constant are clipped, as the intervals are.
 """
 
 from collections.abc import Sequence
@@ -39,21 +39,21 @@ class Posterior:
         self.root = root * (half / (DEVIATIONS * np.where(sd > 0, sd, 1.0)))[:, None]
 
     def draw(self, names: Sequence[str], count: int, seed: int) -> list[FloatArray]:
-        """Draw from the joint distribution of all constants.
+        """Draw from the joint posterior of all constants.
 
         Parameters
         ----------
         names : sequence of str
-            Constants to return, by their names inside; the others are drawn and left out, so the
-            draws of a constant do not depend on this choice.
+            Internal names of the constants to return; all constants are drawn, so the draws
+            of a constant do not depend on this choice.
         count : int
-            Draws, > 0.
+            Number of draws, > 0.
         seed : int
 
         Returns
         -------
         list of ndarray, shape (count,)
-            For each name, in its unit at the door.
+            For each name, in its external unit.
         """
         normal = np.random.default_rng(seed).standard_normal((count, self.root.shape[1]))
         coordinates = self.middle + normal @ self.root.T

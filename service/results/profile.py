@@ -1,9 +1,9 @@
-r"""The profile of a constant: how well the image is explained when it is held elsewhere.
+r"""The profile likelihood of a constant: the best fit with the constant held at other values.
 
-At each of some values the other constants are fitted again, by Gauss' steps from where the
-tangents at the best candidate expect them. The rise of the sum of squares over its least value,
-in units of the noise, is chi-squared with one degree of freedom (S. S. Wilks 1938): below 2.71
-the value lies in the 90 % interval. Unlike the interval from the tangents it sees curvature.
+At each value the other constants are refitted by Gauss steps from the point predicted by the
+derivatives at the best candidate. The rise of the sum of squares above its minimum, in units
+of the noise, is chi-squared with one degree of freedom (S. S. Wilks 1938): below 2.71 the value
+is in the 90 % interval. Unlike an interval from the derivatives, a profile includes curvature.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,30 +25,30 @@ from palpate.storage.records.tasks import EvaluationResult, FitJson
 from palpate.storage.stores.store import open_store
 from palpate.workers.mechanics.parameters import unknown_name
 
-# Of chi-squared with one degree of freedom: nine out of ten.
+# The 90 % quantile of chi-squared with one degree of freedom.
 CHI2_90 = 2.706
-# Values reach so many standard deviations to either side, within the searched interval.
+# Range of the values in standard deviations to either side, within the searched interval.
 REACH = 3.0
 ROUNDS = 3
-# A step that promises less changes no profile, in units of the noise.
+# Steps with a smaller predicted reduction are skipped, in units of the noise.
 SMALL = 0.02
 
 
 @dataclass(frozen=True)
 class ProfilePoint:
-    """The best explanation with one constant held.
+    """The best fit with one constant held.
 
     Parameters
     ----------
     value : float
-        At the door.
+        The held value, in external units.
     rise : float or None
-        Of the sum of squares over its least value, in units of the noise; None where the
+        Rise of the sum of squares above its minimum, in units of the noise; None if the
         simulation failed.
     genes : mapping of str to float
-        All constants, refitted, at the door.
+        All refitted constants, in external units.
     score : float or None
-        Minimised score of that candidate.
+        Minimised score of the fit.
     """
 
     value: float
@@ -64,10 +64,10 @@ class Profile:
     Parameters
     ----------
     gene : str
-    points : tuple of ProfilePoint
+    In ascending order of the value.
         By ascending value.
     lower, upper : float or None
-        Where the rise passes 2.71; None where it does not within the values.
+        Values at which the rise reaches 2.71; None if it does not.
     """
 
     gene: str
@@ -78,7 +78,7 @@ class Profile:
 
 @dataclass
 class _Held:
-    """A value that is held: where it is tried next, and the best of the others so far."""
+    """A held value: the next trial of the other constants, and their best values so far."""
 
     trial: FloatArray
     at: FloatArray
@@ -90,24 +90,24 @@ class _Held:
 def profile_of(
     spec: StudySpec, log: StudyLog, tasks: Tasks, dispatcher: Dispatcher, gene: str, count: int
 ) -> Profile:
-    """Return the profile of a constant of a study that has ended.
+    """Return the profile of a constant in a completed study.
 
     Parameters
     ----------
     gene : str
-        As in the study file, or without its unit.
+        The constant as named in the study file, or without its unit.
     count : int
-        Values, >= 3.
+        Number of values, >= 3.
 
     Raises
     ------
     InputError
-        If the study has no such constant, or no tangents.
+        If the study has no such constant, or no derivatives.
     """
     best, found, session = best_of(log.endings), log.identification, log.last_session
     if best is None or session is None or found is None or found.fit is None:
         why = found.reason if found is not None and found.reason else "it has not ended yet"
-        raise InputError(f"The study {spec.name} has no tangents to begin a profile from: {why}.")
+        raise InputError(f"The study {spec.name} has no derivatives to start a profile: {why}.")
     space = spec.search.space
     index = _index(spec, gene)
     work = StudyWork(
@@ -149,7 +149,7 @@ class _Profiler:
         return Profile(space.names[self.index], points, lower, upper)
 
     def _values(self, count: int) -> FloatArray:
-        """Return the coordinates at which the constant is held."""
+        """Return the coordinates at which the constant is held, shape (count,)."""
         inverse = np.linalg.pinv(self.here.hessian)
         sd = float(np.sqrt(max(inverse[self.index, self.index], 0.0) * self.here.noise))
         i = self.index
@@ -158,7 +158,7 @@ class _Profiler:
         return np.linspace(low, high, count)
 
     def _expected(self, value: float) -> FloatArray:
-        """Return where the tangents at the best candidate expect the others."""
+        """Return the other constants as predicted by the derivatives at the best candidate."""
         at = self.at.copy()
         at[self.index] = value
         if self.others:
@@ -168,7 +168,7 @@ class _Profiler:
         return np.clip(at, self.logs.lower, self.logs.upper)
 
     def _evaluate(self, held: Sequence[_Held]) -> None:
-        """Evaluate where each stands, and take a step from the best so far."""
+        """Evaluate the trial of each value, then step from the best point so far."""
         trials = {k: one.trial for k, one in enumerate(held)}
         calls = [
             (k, (self.work.request(self.space.as_dict(self.logs.genes(at)), derivatives=True),))
@@ -225,11 +225,11 @@ def _part(space: Space, index: Sequence[int]) -> Space:
 
 
 def _crossing(points: Sequence[tuple[float, float]], centre: float) -> float | None:
-    """Return where the rise passes `CHI2_90`, going outwards from the centre."""
+    """Return the value at which the rise reaches `CHI2_90`, going outwards from the centre."""
     before, rise = centre, 0.0
     for value, higher in points:
         if higher >= CHI2_90:
-            # The rise is a parabola nearly, so its root is interpolated.
+            # The rise is nearly a parabola, so its root is interpolated.
             a, b, c = np.sqrt(max(rise, 0.0)), np.sqrt(higher), np.sqrt(CHI2_90)
             return float(before + (value - before) * (c - a) / (b - a))
         before, rise = value, higher
@@ -237,7 +237,7 @@ def _crossing(points: Sequence[tuple[float, float]], centre: float) -> float | N
 
 
 def _index(spec: StudySpec, gene: str) -> int:
-    """Return the position of a gene that is named with or without its unit."""
+    """Return the position of a gene, named with or without its unit."""
     names = list(spec.search.parameters)
     inside = [spec.case.parameters.at_door(name).name for name in names]
     for known in (names, inside):

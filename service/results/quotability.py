@@ -1,4 +1,4 @@
-"""The facts about the estimates of a study that decide whether they may be quoted."""
+"""Facts about the estimates of a study that decide whether they may be quoted."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ UNDEFORMED = "the undeformed body"
 
 
 def study_quotability(results: "StudyResults") -> dict[str, Quotability]:
-    """Return the answer for each searched parameter, by its inside name."""
+    """Return the quotability of each searched parameter, by internal name."""
     return {
         name: one.quotability or quotability(facts_of(results, name))
         for name, one in results.estimates.items()
@@ -61,7 +61,7 @@ def facts_of(results: "StudyResults", name: str) -> EstimateFacts:
 
 @dataclass(frozen=True)
 class DerivedEstimate:
-    """A value that follows from the constants, with its 90 % interval.
+    """A value derived from the constants, with its 90 % interval.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ class DerivedEstimate:
     value : float
     unit : str
     interval : (float, float) or None
-        None where it is withheld.
+        None if it is withheld.
     answer : Quotability
     """
 
@@ -86,7 +86,7 @@ def derived_estimates(results: "StudyResults") -> list[DerivedEstimate]:
 
 
 def with_intervals(results: "StudyResults") -> Mapping[str, Any]:
-    """Return the findings with the intervals of their derived values; None where withheld."""
+    """Return the findings with the intervals of derived values; None if withheld."""
     intervals = {one.name: one.interval for one in derived_estimates(results)}
     derived = results.findings.get("derived", ())
     found = [one | {"interval": intervals[one["name"]]} for one in derived]
@@ -116,7 +116,7 @@ def _derived(results: "StudyResults", found: Mapping[str, Any]) -> DerivedEstima
 
 
 def _bounded(results: "StudyResults", found: Mapping[str, Any]) -> list[str]:
-    """Return a clause for each constant at a bound on which a derived value depends."""
+    """Return a clause for each constant at a bound that affects a derived value."""
     estimates = results.estimates
     names = [
         n for n, by in found.get("slope", {}).items() if n in estimates and abs(by) > DEPENDENT
@@ -136,7 +136,7 @@ def _how_known(value: float, interval: Bounds | None) -> Identifiable:
 
 
 def ratio_quotability(results: "StudyResults", ratio: IdentifiedRatio) -> Quotability:
-    """Return the answer for the ratio of two constants."""
+    """Return the quotability of the ratio of two constants."""
     known = results.identification
     estimates = [results.estimates.get(n) for n in (ratio.numerator, ratio.denominator)]
     return quotability(
@@ -156,7 +156,7 @@ def ratio_quotability(results: "StudyResults", ratio: IdentifiedRatio) -> Quotab
 def ratio_answer(
     results: "StudyResults", ratio: RatioEstimate
 ) -> tuple[tuple[float, float] | None, Quotability]:
-    """Return the interval of a ratio, None where it is withheld, and whether it may be quoted."""
+    """Return the interval of a ratio, or None if withheld, and its quotability."""
     known = results.identification
     found = {(r.numerator, r.denominator): r for r in (known.ratios if known is not None else ())}
     identified = found.get((ratio.numerator, ratio.denominator))
@@ -176,7 +176,7 @@ def ends(interval: Interval | None) -> tuple[float, float] | None:
 def no_better(
     before: Mapping[str, Scores], after: Mapping[str, Scores], parts: Iterable[str]
 ) -> bool:
-    """Return whether the best candidate resembles the target no more than the undeformed body."""
+    """Return True if the best candidate matches the target no better than the undeformed body."""
     compared = [part for part in parts if part in before and part in after]
     if not compared:
         return False
@@ -216,7 +216,7 @@ def _at_bounds(estimates: Iterable["ParameterEstimate | None"]) -> list[str]:
 
 
 def _of_all(results: "StudyResults") -> tuple[str, ...]:
-    """Return what the results say against every estimate, as clauses."""
+    """Return the objections to every estimate, as clauses."""
     return (*_supported(results), *([results.squeezed] if results.squeezed else []))
 
 

@@ -1,6 +1,6 @@
-"""The rule that decides whether an estimate may be quoted, and why not.
+"""The rule that decides whether an estimate may be quoted, with its reasons.
 
-Every estimate that leaves Palpate, of a study, a diagnosis, a bench experiment or a cornea, is
+Every estimate that Palpate reports, from a study, a diagnosis, a bench experiment or a cornea, is
 described by an `EstimateFacts` and judged by `quotability`. Terminal, page, JSON, Python and
 service show its answer in the same words.
 """
@@ -14,28 +14,28 @@ from palpate.service.formatting import at_edge, number
 Bounds = tuple[float, float]
 Identifiable = Literal["value", "ratio", "weak", "unknown"]
 
-# A residual of more than so many times the stated noise says that the model is wrong; no width
-# of an interval makes up for that. Calibrated by tests/benchmarks/interval_coverage.py.
+# A residual of more than this multiple of the stated noise means that the model is wrong, which
+# no interval can make up for. Calibrated by tests/benchmarks/interval_coverage.py.
 MOST_RESIDUAL = 2.0
 UNFINISHED = "the search has not finished, and this is the best value so far"
 
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateFacts:
-    """The facts that decide whether one estimate may be quoted.
+    """The facts that decide whether an estimate may be quoted.
 
-    All values are in the user's unit. What does not apply to an estimate is left at its default.
+    All values are in the user's unit. Facts that do not apply keep their defaults.
 
     Parameters
     ----------
     value : float or None
-        None where nothing was estimated.
+        None if nothing was estimated.
     unit : str
         Such as kPa; empty for a pure number.
     searched : (float, float) or None
         Bounds of the search.
     stated : (float, float) or None
-        Interval that the user's file states for the constant, where it does not bound the search.
+        Interval stated for the constant in the user's file, if it does not bound the search.
     interval : (float, float) or None
         90 % interval.
     identifiable : {"value", "ratio", "weak", "unknown"}
@@ -46,10 +46,10 @@ class EstimateFacts:
     converged : bool
         Whether the search has reached its optimum.
     no_better_than : str
-        The body that explains the image as well as the best fit, such as ``the undeformed
+        A body that explains the image as well as the best fit, such as ``the undeformed
         body``; empty if the best fit is better.
     residual_factor : float
-        Residual of the best fit over the stated noise.
+        Ratio of the best fit's residual to the stated noise.
     contradictions : tuple of str
         Other statements in the same results that contradict the estimate, as clauses.
     """
@@ -69,17 +69,17 @@ class EstimateFacts:
 
 @dataclass(frozen=True)
 class Quotability:
-    """Whether an estimate may be quoted.
+    """The quotability of an estimate.
 
     Parameters
     ----------
     quotable : bool
     reasons : tuple of str
-        Why not, as clauses in plain words; empty exactly when quotable.
+        Why not, as clauses; empty if and only if quotable.
     estimated : bool
-        False where there is no estimate at all: the value and its interval are not shown.
+        False if there is no estimate: the value and its interval are not shown.
     interval_holds : bool
-        False where the interval is withheld, because it does not describe the optimum.
+        False if the interval is withheld because it does not describe the optimum.
     """
 
     quotable: bool
@@ -128,7 +128,7 @@ def _unconverged(facts: EstimateFacts) -> list[str]:
 
 
 def _bounds(facts: EstimateFacts, value: float) -> list[str]:
-    """Return what is wrong with the value's place in the searched and the stated interval."""
+    """Return objections to the value's position in the searched and the stated interval."""
     reasons = []
     if facts.searched is not None and at_edge(value, facts.searched):
         low, high = facts.searched

@@ -1,4 +1,4 @@
-"""Ratios of stiffnesses: what plates at a distance can tell when no stiffness is held."""
+"""Ratios of stiffnesses, which plates at a given distance identify without a held stiffness."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,31 +8,31 @@ STIFFNESS_UNITS = ("kPa", "Pa")
 
 
 class Estimate(Protocol):
-    """What is read of a `service.results.record.ParameterEstimate`."""
+    """The part of a `service.results.record.ParameterEstimate` used here."""
 
     @property
     def unit(self) -> str:
-        """The unit of the numbers."""
+        """Return the unit of the numbers."""
 
     @property
     def estimate(self) -> float | None:
-        """The best value."""
+        """Return the best value."""
 
     @property
     def target(self) -> float | None:
-        """The true value of a simulated target."""
+        """Return the true value of a simulated target."""
 
 
 @dataclass(frozen=True)
 class RatioEstimate:
-    """A stiffness over another one.
+    """The ratio of two stiffnesses.
 
     Parameters
     ----------
     numerator, denominator : str
-        Their names inside, such as ``E_glandular`` and ``E_fat``.
+        Internal names, such as ``E_glandular`` and ``E_fat``.
     estimate, target : float or None
-        As of a `ParameterEstimate`.
+        As in a `ParameterEstimate`.
     """
 
     numerator: str
@@ -47,14 +47,14 @@ class RatioEstimate:
 
     @property
     def relative_error(self) -> float | None:
-        """Return ``|estimate - target| / target``; None where one of them is not known."""
+        """Return ``|estimate - target| / target``; None if either is unknown."""
         if self.estimate is None or not self.target:
             return None
         return abs(self.estimate - self.target) / self.target
 
 
 def ratio_estimates(estimates: Mapping[str, Estimate]) -> tuple[RatioEstimate, ...]:
-    """Return the other stiffnesses over the first one that was searched."""
+    """Return the ratios of the other stiffnesses to the first one that was searched."""
     stiff = [(name, e) for name, e in estimates.items() if e.unit in STIFFNESS_UNITS]
     if not stiff:
         return ()

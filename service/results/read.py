@@ -1,6 +1,6 @@
-"""Reads what a study has found so far from its journal.
+"""Current results of a study, read from its journal.
 
-Nothing is computed anew, and the study may be running meanwhile.
+Nothing is recomputed, and the study may be running.
 """
 
 from collections import Counter
@@ -47,12 +47,12 @@ from palpate.workers.spec import validated
 
 
 def study_results(folder: Path) -> StudyResults:
-    """Read what a study has found so far.
+    """Return the current results of a study.
 
     Raises
     ------
     InputError
-        If `folder` is no study.
+        If `folder` is not a study.
     JournalError
         If its journal is damaged.
     """
@@ -92,7 +92,7 @@ def study_results(folder: Path) -> StudyResults:
 
 
 def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
-    """Read all that is known of one candidate; of the best one when None.
+    """Return the results of one candidate, by default the best one.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def candidate_results(folder: Path, candidate: int | None) -> CandidateResults:
 
 
 def is_running(folder: Path) -> bool:
-    """Return whether a driver holds the journal of the study."""
+    """Return True if a driver holds the journal of the study."""
     return Journal.is_being_written(StudyLayout(folder).journal)
 
 
@@ -134,7 +134,7 @@ def _no_such(what: str, folder: Path, why: str) -> InputError:
 
 
 def findings_of(folder: Path) -> Mapping[str, Any]:
-    """Return what the fitted body shows beside its constants; empty if nothing was stored.
+    """Return the findings about the fitted body; empty if none were stored.
 
     Raises
     ------
@@ -148,14 +148,14 @@ def findings_of(folder: Path) -> Mapping[str, Any]:
         found, _ = unseal(path.read_bytes())
     except ValueError as error:
         raise JournalError(
-            f"{path} is damaged: {error}. Remove it: the findings are left out then, and the rest "
-            "of the study can be read."
+            f"{path} is damaged: {error}. Remove it: the rest of the study can then be read "
+            "without the findings."
         ) from error
     return found
 
 
 def _last_sign(folder: Path) -> datetime:
-    """Return until when a study has run: until now, or until it last wrote its journal."""
+    """Return the end of the last run: now if it is running, else its last entry in the journal."""
     journal = StudyLayout(folder).journal
     written = datetime.fromtimestamp(journal.stat().st_mtime, UTC)
     return datetime.now(UTC) if is_running(folder) else written
@@ -168,7 +168,7 @@ def _state(folder: Path, log: StudyLog) -> StudyState:
 
 
 def _before_polish(spec: StudySpec, log: StudyLog) -> EvaluationRecord | None:
-    """Return the best candidate of the genetic part, where there is another part."""
+    """Return the best candidate of the genetic stage, if another stage follows."""
     polished = spec.search.strategy == "genetic+least-squares"
     return best_searched(log.endings) if polished else None
 
@@ -176,7 +176,7 @@ def _before_polish(spec: StudySpec, log: StudyLog) -> EvaluationRecord | None:
 def estimates_of(
     spec: StudySpec, best: EvaluationRecord | None, before: EvaluationRecord | None
 ) -> dict[str, ParameterEstimate]:
-    """Return the estimate of each searched parameter, by its name in study files."""
+    """Return the estimate of each searched parameter, by internal name."""
     parameters = spec.case.parameters
     target: dict[str, float] = {}
     if spec.target.constants is not None:
@@ -203,7 +203,7 @@ def _identification(
     best: EvaluationRecord | None,
     findings: Mapping[str, Any],
 ) -> tuple[Identification | None, Posterior | None]:
-    """Return what the image tells of the constants, once the search has stopped."""
+    """Return the identifiability of the constants, once the search has stopped."""
     if best is None or log.end is None:
         return None, None
     searched = SearchedConstants(
@@ -219,7 +219,7 @@ def _identification(
         derived = [one for one in findings.get("derived", ()) if "mesh_sd" in one]
         known = identification_from_tangents(searched, found.candidate, found.fit, others, derived)
         return known, Posterior(LocalModel(found.fit, searched, others), searched)
-    note = "the study ran before there were tangents" if found is None else found.reason
+    note = "the study was run before derivatives were recorded" if found is None else found.reason
     alike, here = (
         [spec.constants_of(spec.case.canonical(record.genes)) for record in records]
         for records in (equally_good(log.endings, best, spec.objective.equally_good), [best])
@@ -266,7 +266,7 @@ def _counts(endings: Iterable[EvaluationRecord]) -> EvaluationCounts:
 
 
 def _stages(endings: Iterable[EvaluationRecord]) -> dict[str, StageTime]:
-    """Add up the time of each stage over the evaluations that this study has computed."""
+    """Return the total time of each stage over the evaluations computed by this study."""
     seconds_by_stage: dict[str, list[float]] = {}
     for record in endings:
         if not record.reused:

@@ -1,6 +1,6 @@
-"""What a study has found so far: one schema for status, report and page.
+"""Current results of a study: one schema for status, report and page.
 
-`service.results.read` reads it from a study's folder, `service.results.as_json` writes it as JSON.
+`service.results.read` creates it from a study's folder, `service.results.as_json` writes it.
 """
 
 from collections.abc import Mapping
@@ -33,23 +33,23 @@ class ParameterEstimate:
     Parameters
     ----------
     gene : str
-        Its name in the study file, which may end with the unit.
+        Its name in the study file, which may end in the unit.
     unit : str
-        Of all values; such as kPa, empty for a pure number.
+        Unit of all values, such as kPa; empty for a pure number.
     lower, upper : float
         Bounds of the search.
     estimate : float or None
-        Of the best candidate; None if no candidate has a score, or the best one is no better
-        than the undeformed body.
+        Value of the best candidate; None if no candidate has a score, or the best one is no
+        better than the undeformed body.
     target : float or None
-        What the target was simulated with; None if it comes from an image.
+        The value used to simulate the target; None for an image.
     before_polish : float or None
-        Of the best candidate before the best were fitted by derivatives; None where that is
-        not what the study does.
+        Value of the best candidate before the refinement by derivatives; None if the study
+        has no such stage.
     interval : (float, float) or None
-        90 % interval; None where none is known or it is withheld.
+        90 % interval; None if it is unknown or withheld.
     quotability : Quotability or None
-        Whether the estimate may be quoted; None until that was decided.
+        Whether the estimate may be quoted; None until this is decided.
     """
 
     gene: str
@@ -64,17 +64,17 @@ class ParameterEstimate:
 
     @property
     def quotable(self) -> bool:
-        """Return whether the estimate may be quoted."""
+        """Return True if the estimate may be quoted."""
         return self.quotability is not None and self.quotability.quotable
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Return why the estimate may not be quoted, as clauses; empty if it may."""
+        """Return the reasons against quoting the estimate, as clauses; empty if there are none."""
         return () if self.quotability is None else self.quotability.reasons
 
     @property
     def relative_error(self) -> float | None:
-        """Return ``|estimate - target| / target``; None where one of them is not known."""
+        """Return ``|estimate - target| / target``; None if either is unknown."""
         if self.estimate is None or not self.target:
             return None
         return abs(self.estimate - self.target) / self.target
@@ -99,7 +99,7 @@ class ParameterEstimate:
 
 @dataclass(frozen=True)
 class EvaluationCounts:
-    """How many evaluations ended in which way, and how many of them the store had already."""
+    """Numbers of evaluations by ending, and the number of those already in the store."""
 
     done: int
     diverged: int
@@ -110,20 +110,20 @@ class EvaluationCounts:
 
 @dataclass(frozen=True)
 class GenerationScores:
-    """The scores of a generation that is complete.
+    """The scores of a complete generation.
 
     Parameters
     ----------
     best : float
         GSF of the best candidate; -inf for identical volumes, +inf if all have failed.
     mean : float or None
-        Of the finite scores; None if there are none.
+        Mean of the finite scores; None if there are none.
     best_candidate : int
-        Number of the best candidate: by the sum of squares where that is minimised, else by GSF.
+        Number of the best candidate: by the sum of squares if that is minimised, else by GSF.
     best_genes : mapping of str to float
-        Its parameters, in their units at the door.
+        Its parameters, in external units.
     failed : int
-        Candidates without a score.
+        Number of candidates without a score.
     """
 
     best: float
@@ -142,9 +142,9 @@ class GenerationResult:
     number : int
         From 0.
     evaluations : int
-        Candidates that need an evaluation; elites need none.
+        Number of candidates that need an evaluation; elites need none.
     ended : int
-        Evaluations that have ended.
+        Number of evaluations that have ended.
     scores : GenerationScores or None
         None until all candidates have an ending.
     """
@@ -157,7 +157,7 @@ class GenerationResult:
 
 @dataclass(frozen=True)
 class StageTime:
-    """Seconds that the computed evaluations spent in one stage."""
+    """Time spent in one stage by the computed evaluations, in seconds."""
 
     total_s: float
     mean_s: float
@@ -166,19 +166,19 @@ class StageTime:
 
 @dataclass(frozen=True)
 class StudyResults:
-    """All that a status or a report says of a study.
+    """All results shown by a status or a report.
 
     Parameters
     ----------
     folder : Path
-        Of the study.
+        Folder of the study.
     spec : StudySpec
         The study file with all defaults.
     state : {"running", "stopped", "interrupted"}
     stop_reason : str or None
         Why the search has stopped; None if it has not.
     estimates : mapping of str to ParameterEstimate
-        By the name of the parameter inside, such as ``E_fat``.
+        By internal name, such as ``E_fat``.
     best : EvaluationRecord or None
         The best candidate, as `records.best_candidate` ranks them; None if none has a score.
     counts : EvaluationCounts
@@ -189,31 +189,31 @@ class StudyResults:
         By tissue, of the undeformed body and of the best candidate; empty until the search has
         stopped.
     wall_s : float
-        Of all runs, preparation included.
+        Wall time of all runs, including preparation.
     stages : mapping of str to StageTime
-        By stage, over the evaluations that this study has computed.
+        By stage, over the evaluations computed by this study.
     body_facts : BodyFacts
-        Of body and mesh; empty until they are prepared.
+        Facts about body and mesh; empty until they are prepared.
     target_kind : {"simulated", "image"} or None
         None until the target is prepared.
     sessions : int
-        How often the study was run.
+        Number of runs.
     versions : mapping of str to str
-        Of Palpate, its code and the packages that results depend on.
+        Versions of Palpate, its code and the packages on which results depend.
     store : str or None
-        Of the last run.
+        Store of the last run.
     findings : mapping
-        What the fitted body tells; see `workers.organs.registry.Findings`. Maybe empty.
+        Findings about the fitted body, may be empty; see `workers.organs.registry.Findings`.
     identification : Identification or None
-        How well the image determines each constant; None until the search has stopped.
+        The identifiability of each constant; None until the search has stopped.
     unverified_records : int
-        Records of the journal without a checksum, which an earlier version wrote.
+        Number of journal records without a checksum, written by an earlier version.
     lowest_gsf : EvaluationRecord or None
-        The candidate with the lowest GSF where that is not the best one.
+        The candidate with the lowest GSF, if it is not the best one.
     best_note : str
-        Why the best candidate has not the lowest GSF; empty if it has.
+        Why the best candidate does not have the lowest GSF; empty if it does.
     posterior : Posterior or None
-        The distribution behind the intervals; None without the derivatives of the best candidate.
+        The posterior behind the intervals; None without derivatives of the best candidate.
     """
 
     folder: Path
@@ -256,27 +256,27 @@ class StudyResults:
 
     @property
     def squeezed_note(self) -> str:
-        """Return `squeezed` as a sentence; empty where nothing is squeezed."""
+        """Return `squeezed` as a sentence; empty if no element has collapsed."""
         return self.squeezed and f"The best candidate is not to be trusted: {self.squeezed}."
 
     @property
     def identifiable(self) -> Identifiable:
-        """Return whether the load tells the estimates or only their ratios."""
+        """Return the identifiability of the stiffnesses: values, or only their ratios."""
         return self.spec.identifiable
 
     @property
     def ratios(self) -> tuple[RatioEstimate, ...]:
-        """Return the ratios of stiffnesses where these are all that can be found."""
+        """Return the ratios of stiffnesses if only these can be found."""
         return ratio_estimates(self.estimates) if self.identifiable == "ratio" else ()
 
     @property
     def quotability(self) -> dict[str, Quotability]:
-        """Return whether each estimate may be quoted, by its inside name."""
+        """Return the quotability of each estimate, by internal name."""
         return study_quotability(self)
 
     @property
     def judged(self) -> "StudyResults":
-        """Return the results with intervals and answers, without intervals that do not hold."""
+        """Return the results with intervals and quotability; invalid intervals are withheld."""
         answers, known = self.quotability, self.identification
         constants = {} if known is None else dict(known.constants)
         for name in constants.keys() & answers.keys():
@@ -296,32 +296,32 @@ class StudyResults:
 
     @property
     def best_score(self) -> Scores | None:
-        """Return the scores of the best candidate over all compared tissues together."""
+        """Return the scores of the best candidate over all compared tissues."""
         return None if self.best is None else self.best.score
 
     @property
     def complete_generations(self) -> list[tuple[GenerationResult, GenerationScores]]:
-        """Return the generations whose scores are all known, with them."""
+        """Return the generations whose scores are all known, with their scores."""
         return [(g, g.scores) for g in self.generations if g.scores is not None]
 
 
 @dataclass(frozen=True)
 class CandidateResults:
-    """All that is known of one candidate.
+    """All results of one candidate.
 
     Parameters
     ----------
     spec : StudySpec
-        Of the study.
+        The study file.
     candidate, generation : int
-        Generations from 0.
+        Candidate and generation numbers from 0.
     evaluated_as : int
-        The candidate whose evaluation it shares: an elite has the ending of the candidate that
-        it was carried over from.
+        The candidate whose evaluation it shares: an elite has the ending of the candidate
+        from which it was carried over.
     genes : mapping of str to float
-        In their units at the door.
+        In external units.
     evaluation : EvaluationRecord or None
-        Its ending; None while it has none.
+        Its ending; None before it has ended.
     """
 
     spec: StudySpec
@@ -332,12 +332,12 @@ class CandidateResults:
     evaluation: EvaluationRecord | None
 
     def held(self, *, everything: bool) -> dict[str, Quantity]:
-        """Return the constants that it was simulated with and that are not searched.
+        """Return the constants of its simulation that are not searched.
 
         Parameters
         ----------
         everything : bool
-            Those at their neutral values as well.
+            Whether to include constants at their neutral values.
         """
         case = self.spec.case
         vocabulary = case.vocabulary

@@ -1,4 +1,4 @@
-"""Checks the records that studies keep in their folders: journals and findings."""
+"""Checks of the records in study folders: journals and findings."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from palpate.storage.upkeep.check import Damage
 
 @dataclass(frozen=True)
 class RecordCheck:
-    """What a check of some studies has found.
+    """The outcome of a check of several studies.
 
     Parameters
     ----------
     studies : int
     damages : list of Damage
     unverified : int
-        Lines of journals that an earlier version wrote without checksums.
+        Journal lines without checksums, written by an earlier version.
     """
 
     studies: int
@@ -29,12 +29,12 @@ class RecordCheck:
 
 
 def check_records(folders: Iterable[Path]) -> RecordCheck:
-    """Read the journals and findings of some studies, and verify their checksums.
+    """Read the journals and findings of several studies, and verify their checksums.
 
     Raises
     ------
     NewerSchemaError
-        If a newer version of Palpate wrote a record.
+        If a record was written by a newer version of Palpate.
     """
     studies = unverified = 0
     damages = []

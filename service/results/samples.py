@@ -1,4 +1,4 @@
-"""Draws of the constants from the posterior that the intervals of a study are stated from."""
+"""Draws of the constants from the posterior behind a study's intervals."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ class Samples(Mapping[str, FloatArray]):
     Parameters
     ----------
     draws : mapping of str to ndarray, shape (n,)
-        By the name of the constant in the study file, such as ``E_fat_kpa``.
+        By the constant's name in the study file, such as ``E_fat_kpa``.
     units : mapping of str to str
         Of the constants; empty for a pure number.
     study : str
@@ -64,7 +64,7 @@ class Samples(Mapping[str, FloatArray]):
         return frame_type()(self._draws)
 
     def to_xarray(self) -> "Dataset":
-        """Return the draws as ArviZ expects a posterior: dimensions ``chain`` (1) and ``draw``.
+        """Return the draws in ArviZ's format for a posterior: ``chain`` (1) and ``draw``.
 
         Raises
         ------
@@ -94,7 +94,7 @@ def draw_samples(
     ----------
     results : StudyResults
     n : int
-        Draws, > 0.
+        Number of draws, > 0.
     seed : int
         The same seed gives the same draws.
     constants : sequence of str, optional
@@ -129,7 +129,7 @@ def draw_samples(
 
 
 def constants_with_samples(results: StudyResults) -> list[str]:
-    """Return the constants whose posterior is known, by their names inside."""
+    """Return the constants with a known posterior, by internal name."""
     if results.posterior is None:
         return []
     return [name for name, e in results.estimates.items() if e.interval is not None]

@@ -30,7 +30,7 @@ StrategyName = Annotated[str, AfterValidator(lambda name: checked_name("searches
 
 
 class StallSpec(Door):
-    """When to stop because the score no longer improves; see `service.search.stall`.
+    """Criterion for stopping a search that no longer improves; see `service.search.stall`.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class LevelSpec(Door):
 
 
 class StopSpec(Door):
-    """When to stop, whatever the strategy; checked at the end of a generation.
+    """Limits at which a search stops, whatever the strategy; checked at the end of a generation.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ LATER = ("mode", "in_flight", "start", "stop", "scale", "constraints")
 
 
 class SearchSpec(Door):
-    """How the parameters are searched; the defaults are the thesis'.
+    """Settings of the search; the defaults are the thesis'.
 
     ``stall: null`` never stops before the last generation. ``starts``, ``levels`` and
     ``fit_evaluations`` are for the least-squares strategies, see
@@ -183,7 +183,7 @@ class SearchSpec(Door):
 
     @property
     def steady(self) -> bool:
-        """Return whether there is no barrier between generations."""
+        """Return True if there is no barrier between generations."""
         return self.mode == "steady"
 
     @model_validator(mode="after")
@@ -252,7 +252,7 @@ class SearchSpec(Door):
 
     @property
     def by_derivatives(self) -> bool:
-        """Return whether the strategy needs derivatives."""
+        """Return True if the strategy needs derivatives."""
         return strategy_named(self.strategy).by_derivatives
 
     @property

@@ -8,7 +8,7 @@ from palpate.service.search.base import Generation, Proposal, Search, Stopped
 
 @dataclass(frozen=True)
 class StopRules:
-    """When a search ends, whatever its strategy.
+    """Limits at which a search ends, whatever its strategy.
 
     Parameters
     ----------

@@ -84,7 +84,7 @@ class Strategy:
 
 
 def strategy_named(name: str) -> Strategy:
-    """Return a strategy.
+    """Return the strategy with a given name.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A study as one file: its folder and what it needs of its store, to go on elsewhere.
+"""A study as one file: its folder and the parts of its store needed to continue elsewhere.
 
 ::
 
@@ -6,8 +6,8 @@
     study/study.yaml ...        files of the study's folder
     store/volumes/<digest>.zarr/...  as in a store
 
-The archive is an ordinary tar file. Only plain files with names of a study are taken from it,
-and each must have the content that it was packed with. Nobody signs it: import what you trust.
+The archive is an ordinary tar file. Only plain files with the names of a study are extracted, and
+the content of each is verified. Archives are not signed: import only those you trust.
 """
 
 import hashlib
@@ -58,12 +58,12 @@ _MEMBER = re.compile(
 
 @dataclass(frozen=True)
 class Archived:
-    """What an archive holds.
+    """The contents of an archive.
 
     Parameters
     ----------
     name : str
-        Of the study.
+        Name of the study.
     files : int
     size_bytes : int
     """
@@ -74,20 +74,20 @@ class Archived:
 
 
 def export_study(folder: Path, archive: Path) -> Archived:
-    """Write a study and all that it needs into one file.
+    """Write a study and everything it needs into one file.
 
     Raises
     ------
     InputError
-        If there is no study, or it has not run.
+        If there is no study, or it has not run yet.
     StoreError
-        If its store is gone, the study is running, or the file system refuses.
+        If its store is missing, the study is running, or the file system refuses.
     """
     study, log = read_study(folder)
     if log.last_session is None:
         raise InputError(f"{folder} has not run yet: there is nothing to export but its file.")
     if Journal.is_being_written(StudyLayout(folder).journal):
-        raise StoreError(f"{folder} is running: export it when it has stopped.")
+        raise StoreError(f"{folder} is running: export it after it has stopped.")
     store = open_store(log.last_session.store, create=False)
     name = str(study.spec["name"])
     manifest = {"schema_version": SCHEMA_VERSION, "study": name, "versions": versions()}
@@ -104,21 +104,21 @@ def export_study(folder: Path, archive: Path) -> Archived:
 
 
 def import_study(archive: Path, folder: Path, location: Location) -> Archived:
-    """Unpack a study; it can be read, diagnosed and continued there.
+    """Unpack a study, so that it can be read, diagnosed and continued.
 
     Parameters
     ----------
     folder : Path
-        Of the study; must not exist.
+        Folder of the study; must not exist.
     location : str or Path
-        The store that receives what the study needs; what it has is kept.
+        The store that receives the study's data; existing data are kept.
 
     Raises
     ------
     InputError
         If `folder` exists.
     StoreError
-        If the archive is damaged or no archive, or the file system refuses.
+        If the archive is damaged or not a study's, or the file system refuses.
     """
     folder = folder.expanduser().absolute()
     if folder.exists():
@@ -143,9 +143,9 @@ def archived_name(archive: Path) -> str:
     Raises
     ------
     InputError
-        If there is no such file.
+        If the file does not exist.
     StoreError
-        If it is no archive.
+        If it is not an archive of a study.
     """
     with _reading(archive) as tar:
         return str(_manifest(tar, archive)["study"])
@@ -208,7 +208,7 @@ def _manifest(tar: tarfile.TarFile, archive: Path) -> dict[str, Any]:
 
 @contextmanager
 def _scratch_beside(path: Path) -> Iterator[Path]:
-    """Give a folder for what is packed or unpacked, where there is room for it."""
+    """Provide a scratch folder on the same disk as `path`."""
     folder = temporary_sibling(path)
     folder.mkdir()
     try:
@@ -225,7 +225,7 @@ def _unpack(
         expected = missing.pop(member.name, None)
         file = tar.extractfile(member) if member.isreg() else None
         if expected is None or file is None:
-            raise _damaged(archive, f"{member.name[:80]!r} does not belong into it")
+            raise _damaged(archive, f"{member.name[:80]!r} does not belong in it")
         kind, *parts = PurePosixPath(member.name).parts
         path = places[kind].joinpath(*parts)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -236,14 +236,14 @@ def _unpack(
                 size += len(block)
                 out.write(block)
         if state.hexdigest() != expected:
-            raise _damaged(archive, f"{member.name} has another content than it was packed with")
+            raise _damaged(archive, f"the content of {member.name} has changed")
     if missing:
         raise _damaged(archive, f"{next(iter(missing))} is missing")
     return size
 
 
 def _say_where_the_store_is(folder: Path, store: Store) -> None:
-    """Add a session to the journal: whoever reads the study looks for its store there."""
+    """Add a session to the journal: readers of the study find its store there."""
     log = StudyLog.read(StudyLayout(folder).journal)
     if log.last_session is None:
         raise StoreError("The study in the archive has never run.")
@@ -254,7 +254,7 @@ def _say_where_the_store_is(folder: Path, store: Store) -> None:
 
 
 def _publish_store(parts: Path, store: Store) -> None:
-    """Copy what the store lacks into it; records of evaluations last, as they vouch."""
+    """Copy missing data to the store; evaluation records last, as they mark the rest complete."""
     for folder in store.layout.folders:
         for entry in entries(parts / folder.name):
             copy_entry(entry.place, folder / entry.place.name)
@@ -267,6 +267,6 @@ def _sha256(path: Path) -> str:
 
 def _damaged(archive: Path, why: str) -> StoreError:
     return StoreError(
-        f"{archive} is no archive of a study, or is damaged: {why}. Make it again with "
+        f"{archive} is not an archive of a study, or is damaged: {why}. Make it again with "
         "`palpate store export`."
     )

@@ -1,4 +1,4 @@
-"""The case of a study file, which need not state a target or a search."""
+"""The case of a study file; a target and a search are optional."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -32,12 +32,12 @@ class NamedCase:
 
 
 def read_case(path: Path) -> NamedCase:
-    """Read the case of a file; one with a target and a search is checked as a whole study.
+    """Read the case from a file; one with a target and a search is checked as a whole study.
 
     Raises
     ------
     InputError
-        If there is no such file, it is no YAML, or a key or value makes no sense.
+        If the file does not exist, is not YAML, or has an invalid key or value.
     """
     where, text = str(path), study_text(path)
     with reading(where, "a study"):
@@ -57,7 +57,7 @@ def read_case(path: Path) -> NamedCase:
 
 @cache
 def _named_case_of(organ: str) -> type[Door]:
-    """Return a record whose keys are a name and the case of an organ."""
+    """Return a model whose keys are a name and the case of an organ."""
     case = StudySpec.model_fields["case"].description
     return create_model(
         f"{organ.capitalize()}CaseFile",

@@ -1,6 +1,6 @@
-"""Counts of a study, the same on the terminal, the pages, the service and Dask's dashboard.
+"""Counts of a study for the terminal, the pages, the service and Dask's dashboard.
 
-Evaluations are counted when they have ended, generations when all of their scores are known.
+Evaluations are counted once they have ended, generations once all of their scores are known.
 """
 
 import math
@@ -9,18 +9,18 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 RATE_OVER_S = 300.0
-# A rate is stated after so many evaluations, and after one for each worker.
+# A rate is shown after this many evaluations, and after one for each worker.
 FIRST_EVALUATIONS = 3
 FAILED = ("diverged", "crashed", "lost")
 
 
 def ended_of(counts: Mapping[str, int]) -> int:
-    """Return how many evaluations have ended, given how many in which way."""
+    """Return the number of evaluations that have ended, given the counts by status."""
     return sum(counts.get(status, 0) for status in ("done", *FAILED))
 
 
 def evaluations_text(counts: Mapping[str, int], at_most: int) -> str:
-    """Return the number of evaluations in words.
+    """Return the number of evaluations as text.
 
     Examples
     --------
@@ -33,17 +33,17 @@ def evaluations_text(counts: Mapping[str, int], at_most: int) -> str:
 
 
 def generations_text(complete: int, at_most: int) -> str:
-    """Return the number of complete generations in words."""
+    """Return the number of complete generations as text."""
     return f"{complete:,} of at most {at_most:,} complete"
 
 
 class Pace:
-    """Evaluations per minute, from those that were computed while we watched.
+    """Evaluations per minute, from those observed while they were computed.
 
     Parameters
     ----------
     clock : callable
-        In seconds.
+        Returns the time in seconds.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -53,7 +53,7 @@ class Pace:
         self._recent: deque[float] = deque(maxlen=10_000)
 
     def add(self, seconds: float) -> None:
-        """Count an evaluation that has just ended and took some seconds."""
+        """Add an evaluation that has just ended and its duration in seconds."""
         now = self._clock()
         if self._began is None:
             self._began = now - seconds
@@ -61,7 +61,7 @@ class Pace:
         self._recent.append(now)
 
     def per_minute(self, workers: int = 1) -> float | None:
-        """Return the rate of late; None before the first evaluations of all workers."""
+        """Return the recent rate; None before the first evaluations of all workers."""
         first = max(FIRST_EVALUATIONS, workers)
         if self._began is None or self._count < first:
             return None
@@ -74,7 +74,7 @@ class Pace:
 
 
 def left_s(counts: Mapping[str, int], at_most: int, per_minute: float | None) -> float:
-    """Return the seconds to the last evaluation at most; infinite while there is no rate."""
+    """Return the longest remaining time in seconds; infinite if the rate is unknown."""
     if not per_minute:
         return math.inf
     return 60.0 * max(0, at_most - ended_of(counts)) / per_minute

@@ -1,4 +1,4 @@
-"""Makes records of how evaluations ended, and says when the cluster or the model is to blame."""
+"""Records of evaluation endings, and errors when the cluster or the model is to blame."""
 
 import math
 import re
@@ -13,31 +13,31 @@ from palpate.storage.records.record import EvaluationRecord
 from palpate.storage.records.status import Status
 from palpate.storage.records.tasks import EvaluationResult
 
-# A generation that loses more than this share of its candidates accuses the cluster.
+# If a generation loses more than this share of its candidates, the cluster is to blame.
 MAX_LOST_SHARE = 0.2
-# What differs between two reasons that are one.
+# Differences between two messages for the same reason.
 NUMBERS = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 NO_SHARED_TISSUE = "it has no score: candidate and target share no tissue compared"
 
 
 def blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:
-    """Raise where many are lost: then the cluster is to blame, and no candidate."""
+    """Raise an error if many evaluations are lost: the cluster is to blame, not a candidate."""
     if len(lost) > max(1, MAX_LOST_SHARE * evaluations):
         raise ClusterError(
-            f"{len(lost)} of {evaluations} candidates have lost their workers again and again: "
+            f"{len(lost)} of {evaluations} candidates have repeatedly lost their workers: "
             f"{lost[0].reason}. The workers may have too little memory: start fewer with "
-            "--workers, then run the study again; what is finished is kept."
+            "--workers, then run the study again; completed work is kept."
         )
 
 
 def refuse_if_all_crashed(crashed: list[Ending], generation: int) -> None:
-    """Raise where all candidates crash for one reason: the search would learn nothing."""
+    """Raise an error if all candidates crash for the same reason, which would repeat."""
     reasons = {NUMBERS.sub("#", ending.reason) for ending in crashed}
     if len(crashed) > 1 and len(reasons) == 1:
         raise GenerationCrashError(
-            f"All {len(crashed)} candidates of generation {generation + 1} have crashed for one "
-            f"reason: {crashed[0].reason}. None of them is journalled: put it right, and the same "
-            "command continues the study.",
+            f"All {len(crashed)} candidates of generation {generation + 1} have crashed for the "
+            f"same reason: {crashed[0].reason}. None of them is saved: correct the cause, and "
+            "run the same command again to continue the study.",
             crashed[0].traceback,
         )
 
@@ -45,7 +45,7 @@ def refuse_if_all_crashed(crashed: list[Ending], generation: int) -> None:
 def evaluation_record(
     pending: PendingGeneration, candidate: int, ending: Ending, reused: bool
 ) -> EvaluationRecord:
-    """Make the journal's record of an ending."""
+    """Return the journal record of an ending."""
     return ending_record(
         ending,
         candidate=candidate,
@@ -65,7 +65,7 @@ def ending_record(
     reused: bool,
     level: int | None = None,
 ) -> EvaluationRecord:
-    """Make the record of an ending; see `EvaluationRecord`."""
+    """Return the record of an ending; see `EvaluationRecord`."""
     record = partial(
         EvaluationRecord,
         candidate=candidate,

@@ -1,4 +1,4 @@
-"""Evaluates the candidates that a search proposes, and journals how they end."""
+"""Evaluation of proposed candidates; their endings go to the journal."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -33,12 +33,12 @@ class EvaluationRun:
     journal : Journal
     hooks : Hooks
     endings : dict of int to EvaluationRecord
-        Of all candidates so far; grows.
+        Endings of all candidates so far; updated in place.
 
     Attributes
     ----------
     proposed : dict of int to PendingGeneration
-        How each candidate was proposed that has no ending.
+        The generation of each candidate that has not ended.
     """
 
     work: StudyWork
@@ -46,15 +46,15 @@ class EvaluationRun:
     hooks: Hooks
     endings: dict[int, EvaluationRecord]
     proposed: dict[int, PendingGeneration] = field(default_factory=dict)
-    _earlier: set[str] = field(default_factory=set)  # digests of what was forgotten
+    _earlier: set[str] = field(default_factory=set)  # digests of forgotten endings
 
     @property
     def dispatcher(self) -> TaskRunner:
-        """Return what sends tasks."""
+        """Return the task runner."""
         return self.work.dispatcher
 
     def evaluate(self, pending: PendingGeneration) -> None:
-        """See that every candidate of a generation has an ending."""
+        """Evaluate a generation until every candidate has an ending."""
         sharing: dict[str, list[int]] = {}  # equal candidates have one evaluation
         requests: dict[str, EvaluationRequest] = {}
         for candidate in pending.candidates:
@@ -75,7 +75,7 @@ class EvaluationRun:
                 ending = Ending(name, "returned", stored)
                 self.write_down(candidates, ending, reused=True)
         lost = []
-        crashed = []  # are not journalled while nothing but crashes has come
+        crashed = []  # not saved as long as every candidate crashes
         others = self._has_other_endings(pending)
         for ending in self.dispatcher.run(self.work.evaluate, calls):
             if ending.kind == "lost":
@@ -94,9 +94,9 @@ class EvaluationRun:
             self.write_down(sharing[ending.key], ending, reused=False)
 
     def _has_other_endings(self, pending: PendingGeneration) -> bool:
-        """Return whether a candidate of a generation has ended otherwise than in a crash.
+        """Return True if a candidate of a generation has ended other than by a crash.
 
-        One that an earlier generation had already says nothing of this one.
+        A candidate evaluated in an earlier generation does not count.
         """
         earlier = {r.digest for r in self.endings.values() if r.generation < pending.number}
         earlier |= self._earlier
@@ -104,14 +104,14 @@ class EvaluationRun:
         return any(r.status is not Status.CRASHED and r.digest not in earlier for r in ended)
 
     def forget(self, before: int) -> None:
-        """Forget how candidates ended that nothing is asked of any more, but for the best.
+        """Forget the endings of candidates that are no longer needed, except the best ones.
 
-        The journal has them all. A study of 20,000 evaluations would hold 60 MB of records.
+        They stay in the journal. For 20,000 evaluations the records would take 60 MB of memory.
 
         Parameters
         ----------
         before : int
-            Candidates with lower numbers.
+            Candidates with lower numbers are forgotten.
         """
         best = best_of(self.endings)
         kept = None if best is None else best.candidate
@@ -119,7 +119,7 @@ class EvaluationRun:
             self._earlier.add(self.endings.pop(candidate).digest)
 
     def keep_volumes(self, pending: PendingGeneration, generation: Generation) -> None:
-        """Store the deformed volumes that the study file asks to keep."""
+        """Store the deformed volumes requested by the study file."""
         if self.work.spec.keep == "best":
             return
         count = (
@@ -129,13 +129,13 @@ class EvaluationRun:
         self.make_volumes([c for c in kept if pending.carried_from(c) is None])
 
     def keep_best(self) -> None:
-        """Store the volumes of the best candidates, as many as elites, where that is asked for."""
+        """Store the volumes of the best candidates, one for each elite, if requested."""
         if self.work.spec.keep == "elites":
             ranked = sorted(self.endings, key=lambda c: (score_of(self.endings[c]), c))
             self.make_volumes(ranked[: self.work.spec.search.elite])
 
     def make_volumes(self, candidates: list[int]) -> None:
-        """Store the deformed volumes of candidates, made from fields that are stored."""
+        """Store the deformed volumes of candidates, computed from stored fields."""
         calls = []
         for candidate in candidates:
             ending = self.endings[candidate]
@@ -144,18 +144,18 @@ class EvaluationRun:
         self.dispatcher.all(self.work.tasks.keep_volume, calls)
 
     def differentiate(self, candidate: int) -> Ending:
-        """Evaluate a candidate once more, with derivatives."""
+        """Evaluate a candidate again, with derivatives."""
         request = self.request(candidate, derivatives=True)
         calls = [(request["digest"], self.work.arguments(request))]
         (ending,) = self.dispatcher.run(self.work.evaluate, calls)
         return ending
 
     def findings(self, candidate: int) -> Mapping[str, Any]:
-        """Find out what the body of a candidate tells beside its constants."""
+        """Return the organ's findings about a candidate's body, other than its constants."""
         return self.dispatcher.call(self.work.tasks.find, self.request(candidate, derivatives=True))
 
     def write_down(self, candidates: list[int], ending: Ending, *, reused: bool) -> None:
-        """Write down an ending for all candidates that share it, then tell the observers."""
+        """Save an ending for all candidates that share it, then notify the observers."""
         records = [
             evaluation_record(
                 self.proposed.pop(candidate), candidate, ending, reused or position > 0
@@ -168,7 +168,7 @@ class EvaluationRun:
             self.hooks.evaluation_ended(record, False)
 
     def request(self, candidate: int, *, derivatives: bool = False) -> EvaluationRequest:
-        """Return the request of a candidate that was proposed, or that has ended."""
+        """Return the request of a proposed or completed candidate."""
         ended, pending = self.endings.get(candidate), self.proposed.get(candidate)
         if ended is not None:
             wanted = derivatives or ended.fit is not None

@@ -1,4 +1,4 @@
-"""Makes the folder of a study, recognises it, and refuses the folder of another study."""
+"""The folder of a study: creation, and checks that it belongs to the same study."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from palpate.storage.records.journal import Journal
 from palpate.storage.records.record import StudyRecord
 from palpate.storage.records.tasks import PreparedBody, PreparedTarget
 
-HEAD = "# What this study was asked, with all defaults written out. Changing it has no effect.\n"
+HEAD = "# The settings of this study, with all defaults. Changing them has no effect.\n"
 
 
 class StudyFolder:
@@ -24,11 +24,11 @@ class StudyFolder:
     Parameters
     ----------
     root : Path
-        Made when missing.
+        Created if missing.
     spec : StudySpec
-        The study that is to run there.
+        The study to run in this folder.
     accept_new_code : bool
-        Whether code that has changed since the last run may continue.
+        Whether to continue although the code has changed since the last run.
     """
 
     def __init__(self, root: Path, spec: StudySpec, *, accept_new_code: bool = False) -> None:
@@ -38,17 +38,17 @@ class StudyFolder:
         self._accept_new_code = accept_new_code
 
     def check(self) -> StudyLog:
-        """Read what is there, and refuse what is not this study.
+        """Read the folder, and refuse it if it belongs to another study.
 
         Raises
         ------
         InputError
-            If another study lives there, or other code has run it.
+            If the folder holds another study, or other code has run this one.
         JournalError
             If its journal is damaged.
         """
         if self.root.exists() and not self.root.is_dir():
-            raise InputError(f"{self.root} is a file, expected a study folder: choose another.")
+            raise InputError(f"{self.root} is a file; expected a study folder: choose another.")
         log = StudyLog.read(self.layout.journal)
         if log.study is not None and log.sessions:
             self._refuse_other_study(log.study)
@@ -56,23 +56,23 @@ class StudyFolder:
         return log
 
     def open(self) -> Journal:
-        """Lock the journal; the folder is made if it is missing.
+        """Lock the journal, creating the folder if it is missing.
 
         Raises
         ------
         StoreError
-            If it cannot be written.
+            If the folder cannot be written.
         JournalError
-            If the study is running already.
+            If the study is already running.
         """
         with explained(self.root):
             self.root.mkdir(parents=True, exist_ok=True)
         return Journal(self.layout.journal)
 
     def begin(self, journal: Journal) -> StudyLog:
-        """Read the journal under its lock; a new study gets its first line.
+        """Read the locked journal; a new study gets its first record.
 
-        Until its preparation has succeeded once a study may still be changed.
+        A study may still be changed until its preparation has succeeded once.
         """
         log = self.check()
         if log.study is not None and log.study.spec_digest == self.spec.digest:
@@ -83,14 +83,14 @@ class StudyFolder:
         return log
 
     def default_store(self, log: StudyLog) -> Place:
-        """Return the store of the last run if it is still there, else the one beside the study."""
+        """Return the store of the last run if it still exists, else the one next to the study."""
         last = None if log.last_session is None else place_of(log.last_session.store)
         if last is None or (isinstance(last, Path) and not last.is_dir()):
             return self.root.parent / "store"
         return last
 
     def check_same(self, log: StudyLog, prepared: PreparedBody, target: PreparedTarget) -> None:
-        """Refuse to go on with another body or target than before.
+        """Refuse to continue with a different body or target.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class StudyFolder:
             if before != now:
                 raise InputError(
                     f"The {what} of this study was {before}, now it is {now}: its image has "
-                    "changed since the study began. Put the old image back, or start a new study "
+                    "changed since the study began. Restore the old image, or start a new study "
                     "with --study."
                 )
 
@@ -117,7 +117,7 @@ class StudyFolder:
             return
         changes = "\n".join(f"  {line}" for line in differences(study.spec, self.spec.as_dict()))
         raise InputError(
-            f"{self.root} holds a study that asks for something else:\n{changes}\n"
+            f"{self.root} holds a study with different settings:\n{changes}\n"
             "Undo these changes to continue it, or give the changed study another folder with "
             "--study; evaluations in the store are used again."
         )
@@ -128,6 +128,6 @@ class StudyFolder:
             return
         raise InputError(
             f"The code has changed since this study last ran (then {log.code}, now {now}), so "
-            "its scores may not be comparable. Install the version it was run with, start again "
+            "its scores may not be comparable. Install the version it was run with, restart it "
             "in another folder with --study, or add --accept-new-code to continue."
         )

@@ -1,4 +1,4 @@
-"""Reads the journal of a study as a whole."""
+"""The journal of a study, read as a whole."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -28,7 +28,7 @@ class StudyLog:
     Parameters
     ----------
     study : StudyRecord or None
-        None if nothing was ever written.
+        None if nothing has been written.
     sessions : tuple of SessionRecord
         Runs so far.
     endings : mapping of int to EvaluationRecord
@@ -36,14 +36,14 @@ class StudyLog:
     end : EndRecord or None
         If the search has stopped.
     identification : IdentificationRecord or None
-        What the image tells of the constants, once that is known.
+        The identifiability of the constants, once it is known.
     session_seconds : tuple of float
-        Wall time of each run, as far as it noted it: at its last complete generation.
+        Wall time of each run up to its last complete generation.
     proposals : mapping of int to ProposalRecord
-        By number of the generation; empty for a search without generations, and for journals of
-        versions that did not record them.
+        By generation number; empty for a search without generations, and for journals of
+        versions that did not record proposals.
     unverified : int
-        Records without a checksum: an earlier version wrote them.
+        Number of records without a checksum, written by an earlier version.
     """
 
     study: StudyRecord | None = None
@@ -57,14 +57,14 @@ class StudyLog:
 
     @classmethod
     def read(cls, journal: Path) -> Self:
-        """Read a journal; one that is missing or empty has no records.
+        """Read a journal; a missing or empty one has no records.
 
         Raises
         ------
         JournalError
-            If it is damaged, or holds two endings of one candidate.
+            If it is damaged, or has two endings for one candidate.
         NewerSchemaError
-            If a newer version of Palpate wrote it.
+            If it was written by a newer version of Palpate.
         """
         study: StudyRecord | None = None
         end: EndRecord | None = None
@@ -97,7 +97,7 @@ class StudyLog:
                     end = record
         if study is None and (endings or sessions):
             raise JournalError(
-                f"{journal} does not begin with its study: its head was cut off. Start a new "
+                f"{journal} does not begin with its study: its beginning is missing. Start a new "
                 "study; evaluations in the store are used again."
             )
         return cls(
@@ -117,7 +117,7 @@ class StudyLog:
         Parameters
         ----------
         until : datetime
-            The moment to which the last run has come, if it has not noted its end.
+            The end of the last run, if the run has not recorded it.
         """
         noted = sum(self.session_seconds)
         last = self.last_session
@@ -128,17 +128,17 @@ class StudyLog:
 
     @property
     def last_session(self) -> SessionRecord | None:
-        """Return the run that began last; None if preparation has never been finished."""
+        """Return the latest run; None if preparation has never been completed."""
         return self.sessions[-1] if self.sessions else None
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """Return the statements with which every result of the study begins."""
+        """Return the statements that qualify every result of the study."""
         return caveats_in(self.sessions)
 
     @property
     def code(self) -> str:
-        """Return the digest of the code that ran last; empty if none did."""
+        """Return the digest of the code of the latest run; empty if there was none."""
         if self.sessions:
             return self.sessions[-1].versions["code"]
         return "" if self.study is None else self.study.versions.get("code", "")
@@ -146,7 +146,7 @@ class StudyLog:
 
 def _two_endings(journal: Path, candidate: int) -> JournalError:
     return JournalError(
-        f"{journal} tells of candidate {candidate} twice: it was changed by hand. Remove the "
+        f"{journal} has two endings for candidate {candidate}: it was edited. Remove the "
         "second line, then run the study again."
     )
 
@@ -157,13 +157,13 @@ def read_study(folder: Path) -> tuple[StudyRecord, StudyLog]:
     Raises
     ------
     InputError
-        If `folder` is no study.
+        If `folder` is not a study.
     JournalError
         If its journal is damaged.
     """
     log = StudyLog.read(StudyLayout(folder).journal)
     if log.study is None:
-        problem = "holds no journal of a study" if folder.is_dir() else "does not exist"
+        problem = "has no journal of a study" if folder.is_dir() else "does not exist"
         raise InputError(
             f"{folder} {problem}. Give the folder of a study, such as runs/NAME, or start one "
             "with `palpate run STUDY.yaml`."

@@ -1,9 +1,9 @@
-"""Runs a study: propose candidates, evaluate them, journal the endings, score generations.
+"""The loop of a study: propose candidates, evaluate them, save the endings, score generations.
 
-Running a study and resuming it are the same: the journal says which candidates
-have an ending, the search proposes what it proposed before, and what has no
-ending is evaluated. Scores are handed to the search in the order of the candidates, so neither
-the number of workers nor an interruption changes what is proposed next.
+Running a study and resuming it are the same: the journal has the candidates that have ended,
+the search repeats its earlier proposals, and candidates without an ending are evaluated.
+Scores are passed to the search in the order of the candidates, so neither the number of
+workers nor an interruption changes the next proposal.
 """
 
 import time
@@ -51,12 +51,12 @@ __all__ = ["Conclusion", "Study", "Tasks"]
 
 @dataclass(frozen=True)
 class Conclusion:
-    """How a search ended.
+    """The outcome of a search.
 
     Parameters
     ----------
     reason : str
-        Why it stopped.
+        Why the search stopped.
     best : EvaluationRecord or None
         None if no candidate has a score.
     history : tuple of Generation
@@ -76,30 +76,30 @@ class Study:
     spec : StudySpec
         The study file.
     folder : Path
-        Made when missing; continued when it holds this study.
+        Created if missing; continued if it holds this study.
     store : str or Path, optional
-        Where volumes and evaluations go. Default: that of the last run, else the
-        folder ``store`` beside `folder`.
+        Location of volumes and evaluations. Default: the store of the last run, else the
+        folder ``store`` next to `folder`.
     tasks : Tasks
-        What is sent to the workers.
+        The functions that are sent to the workers.
     observers : iterable of Observer
-        Hear what happens.
+        Receive the events of the study.
     accept_new_code : bool
-        Continue although the code has changed since the last run.
+        Whether to continue although the code has changed since the last run.
 
     Attributes
     ----------
     ended, begun : bool
-        Whether its search has stopped; whether body and target were ever prepared.
+        Whether the search has stopped; whether body and target have been prepared.
     caveats : tuple of str
-        Statements with which its results begin; set before `run`, and recorded with it.
+        Statements that qualify its results; set before `run`, and recorded with it.
     store : Path or ObjectPath
-        Where volumes and evaluations go.
+        Location of volumes and evaluations.
 
     Raises
     ------
     InputError
-        If `folder` holds another study, or one run with other code.
+        If `folder` holds another study, or other code has run this one.
     JournalError
         If its journal is damaged.
     """
@@ -126,18 +126,18 @@ class Study:
         self._given_store = store
 
     def run(self, dispatcher: TaskRunner, dashboard: str = "") -> Conclusion:
-        """Run the study to its end, from wherever it stands.
+        """Run the study to its end, from its current state.
 
         Raises
         ------
         InputError
-            If the case or the target makes no sense.
+            If the case or the target is invalid.
         StoreError
-            If store or journal cannot be used; a study that is running already.
+            If the store or journal cannot be used, or the study is already running.
         ClusterError
-            If the workers cannot do the work; what is journalled is kept.
+            If the workers cannot do the work; completed evaluations are saved.
         Interrupted
-            If the dispatcher is told to stop.
+            If the dispatcher is stopped.
         """
         with self.folder.open() as journal:
             log = self.folder.begin(journal)
@@ -173,7 +173,7 @@ class _Run:
         return Conclusion(stopped.reason, best_candidate, history)
 
     def _check_continuation(self) -> None:
-        """Replay the journal, so that a search that has changed is refused before it is written."""
+        """Replay the journal, so that a changed search is refused before anything is written."""
         if self.spec.search.steady:
             deque(replayed(self.spec.steady_search, self.log.endings), maxlen=0)
         else:
@@ -210,7 +210,7 @@ class _Run:
         return found
 
     def _reason_to_stop(self) -> str | None:
-        """Return why no further candidates are wanted; None if they are."""
+        """Return the reason to propose no further candidates; None to continue."""
         stop = self.spec.search.stop
         if stop is not None and stop.hours is not None:
             ran_s = sum(self.log.session_seconds) + self._elapsed_s()
@@ -237,7 +237,7 @@ class _Run:
         self.hooks.started(facts)
 
     def _prepare(self) -> StudyWork:
-        """Bring case and target into the store, which is quick when they are there."""
+        """Store the case and the target, which is quick if they are stored already."""
         store, workers = str(self.store.root), self.dispatcher.threads
         require_plugins(self.dispatcher, used_plugins(self.spec))
         body = self.dispatcher.call(self.tasks.prepare, self.case, store)
@@ -281,17 +281,17 @@ class _Run:
         return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)
 
     def _identify(self, best: EvaluationRecord, evaluation: EvaluationRun) -> None:
-        """Find out what the image tells of the constants, from the tangents at the best one."""
+        """Compute the identifiability of the constants from the derivatives at the best point."""
         organ = self.spec.case.organ
         differentiable = organ_spec(organ).nuisances is not None
         reason = "" if differentiable else no_derivatives(organ)
         fit = best.fit
         if fit is None and differentiable:
             ending = evaluation.differentiate(best.candidate)
-            if ending.kind == "lost":  # of its workers; the next run tries again
+            if ending.kind == "lost":  # with its workers; the next run tries again
                 return
             fit = (ending.value or {}).get("fit")
-            reason = "" if fit else ending.reason or "the simulation with tangents gave none"
+            reason = "" if fit else ending.reason or "the simulation gave no derivatives"
         try:
             self._append(self._identified(best, fit, reason, evaluation))
         except Lost:  # the next run tries again
@@ -300,7 +300,7 @@ class _Run:
     def _identified(
         self, best: EvaluationRecord, fit: FitJson | None, reason: str, evaluation: EvaluationRun
     ) -> IdentificationRecord:
-        """Return the record with the other sources of error, of the study's own resolution."""
+        """Return the record with the other error sources, at the study's own resolution."""
         if fit is None or best.level is not None:
             return IdentificationRecord(best.candidate, fit, reason)
         nuisances = nuisance_fit(best, evaluation)

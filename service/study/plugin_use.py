@@ -10,7 +10,7 @@ from palpate.workers.plugins import Plugin, lacking_plugins, plugin
 
 
 def used_plugins(spec: StudySpec) -> list[Plugin]:
-    """Return the plug-ins that evaluations of a study need, Palpate's own left out."""
+    """Return the plug-ins that evaluations of a study need, except Palpate's own."""
     parameters = spec.case.parameters
     stated = (*spec.search.parameters, *spec.case.constants, *(spec.target.constants or {}))
     names = {parameters.at_door(name).name for name in stated}
@@ -23,19 +23,19 @@ def used_plugins(spec: StudySpec) -> list[Plugin]:
 
 
 class Everywhere(Protocol):
-    """Whatever runs a task on each worker, such as a `service.cluster.dispatch.Dispatcher`."""
+    """An object that can run a task on each worker, such as a `Dispatcher`."""
 
     def everywhere(self, task: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
-        """Run one task on each worker that is there now and return its records by address."""
+        """Run one task on each current worker and return the records by worker address."""
 
 
 def require_plugins(dispatcher: Everywhere, wanted: Iterable[Plugin]) -> None:
-    """Check that every worker has some plug-ins, before any work starts.
+    """Check that every worker has the given plug-ins, before any work starts.
 
     Raises
     ------
     ClusterError
-        Naming each worker and what it lacks.
+        Names each worker and the plug-ins it lacks.
     """
     used = list(wanted)
     if not used:

@@ -1,7 +1,7 @@
 """Plausibility checks of a study before its first task.
 
-An implausible study is refused, with all reasons, unless the user insists; an unusual one is
-run with a warning.
+An implausible study is refused, with all reasons, unless the user insists; an unusual one runs
+with a warning.
 """
 
 import shutil
@@ -18,16 +18,16 @@ from palpate.workers.organs.study_checks import Finding, accept, refused
 from palpate.workers.spec import validated
 from palpate.workers.tasks.study_checks import study_findings
 
-# An interval so many times off the known one is written in another unit: kPa for Pa or MPa.
+# An interval that differs by this factor is in another unit: kPa instead of Pa or MPa.
 OTHER_UNIT = 30.0
-# A search of a thesis' size is 84 x 15; the second one takes a year of a hundred cores.
+# The thesis' search has 84 x 15 evaluations; the second limit takes 100 cores a year.
 MANY_EVALUATIONS = 20_000
 TOO_MANY_EVALUATIONS = 1_000_000
-# Settings that make a search large.
+# Settings that determine the size of a search.
 _SIZES = ("population", "generations", "starts", "fit_evaluations")
 GIB = 1024**3
 SCARCE_BYTES = GIB
-# A displacement in double precision; the record of an evaluation.
+# Bytes of a displacement in double precision, and of an evaluation's record.
 NODE_BYTES = 24
 RECORD_BYTES = 4096
 USUAL_NODES = 20_000
@@ -36,23 +36,23 @@ USUAL_NODES = 20_000
 def preflight(
     spec: StudySpec, store: Place, *, anyway: bool = False, elsewhere: bool = False
 ) -> list[Finding]:
-    """Check a study that is about to run for the first time.
+    """Check a study before its first run.
 
     Parameters
     ----------
     spec : StudySpec
     store : Path or ObjectPath
-        Where volumes and evaluations will go; images are brought there.
+        Location of volumes and evaluations; images are imported into it.
     anyway : bool
-        Accept what looks implausible.
+        Whether to accept an implausible study.
     elsewhere : bool
-        The workers are on other machines, which may see files that this one does not.
+        Whether the workers run on other machines, where files missing here may exist.
 
     Returns
     -------
     list of Finding
-        What the user should know. `workers.organs.study_checks.caveats_of` gives the
-        statements that belong to the record of a study which was run anyway.
+        Remarks for the user. `workers.organs.study_checks.caveats_of` returns the statements
+        that belong in the record of a study that was run anyway.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def _of_the_file(spec: StudySpec, store: Place) -> Iterator[Finding]:
     if spec.identifiable == "ratio":
         yield Finding(
             "warning",
-            "The plates stand at a distance and no stiffness is held: only ratios of the "
+            "The plates are at a given distance and no stiffness is held: only ratios of the "
             "stiffnesses can be found, their scale is arbitrary. Hold one under case.constants, "
             "such as E_fat_kpa: 10, or state case.load.force_n.",
         )
@@ -144,12 +144,12 @@ def _evaluations(spec: StudySpec) -> Iterator[Finding]:
     yield Finding(
         "implausible" if most > TOO_MANY_EVALUATIONS else "warning",
         f"search: {most:,} evaluations at most, in {spec.most_generations:,} generations; a usual "
-        f"search has some 1,000. Lower {listed(sizes or _SIZES)}.",
+        f"search has about 1,000. Lower {listed(sizes or _SIZES)}.",
     )
 
 
 def _idle_settings(spec: StudySpec) -> Iterator[Finding]:
-    """Point out keys that were given and that the strategy does not use."""
+    """Report keys that were given but are not used by the strategy."""
     search = spec.search
     used = strategy_named(search.strategy).settings
     idle = [
@@ -167,7 +167,7 @@ def _idle_settings(spec: StudySpec) -> Iterator[Finding]:
 
 def _space(spec: StudySpec, store: Place) -> Iterator[Finding]:
     if not isinstance(store, Path):
-        return  # nobody knows what is left in a bucket
+        return  # the free space of a bucket is unknown
     there = store
     while not there.exists():
         there = there.parent
@@ -191,7 +191,7 @@ def preflight_task(spec: Mapping[str, Any], store: str, anyway: bool) -> list[Fi
     Raises
     ------
     InputError, StoreError
-        As `preflight`.
+        As for `preflight`.
     """
     study = validated(StudySpec, spec, "The study")
     return preflight(study, place_of(store), anyway=anyway)

@@ -1,8 +1,8 @@
-"""The generations of a study, from its journal alone.
+"""The generations of a study, read from its journal alone.
 
-Reading never asks the search, so a study stays readable when the search, or a library that it
-uses, has changed since. Journals of earlier versions do not record what was proposed; their
-generations are put together from the endings, without the candidates that were carried over.
+Reading never runs the search, so a study stays readable if the search, or a library that it
+uses, has changed. Journals of earlier versions do not record proposals; their generations are
+reconstructed from the endings, without the candidates that were carried over.
 """
 
 import math
@@ -17,7 +17,7 @@ from palpate.storage.records.record import EvaluationRecord, ProposalRecord
 
 @dataclass(frozen=True)
 class RecordedGeneration:
-    """One generation, as far as its journal tells.
+    """One generation, as recorded in the journal.
 
     Parameters
     ----------
@@ -26,9 +26,9 @@ class RecordedGeneration:
     genes : mapping of int to mapping of str to float
         By candidate.
     carried : mapping of int to int
-        Candidates with the ending of one of the generation before, and that one.
+        Each carried candidate with its number in the previous generation.
     evaluations : int
-        Candidates that need an evaluation.
+        Number of candidates that need an evaluation.
     """
 
     number: int
@@ -37,12 +37,12 @@ class RecordedGeneration:
     evaluations: int
 
     def ended(self, endings: Mapping[int, EvaluationRecord]) -> int:
-        """Return how many of its evaluations have ended."""
+        """Return the number of its evaluations that have ended."""
         return sum(c in endings for c in self.genes if c not in self.carried)
 
 
 class RecordedGenerations:
-    """All generations of a study that has begun.
+    """All generations of a study that has started.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class RecordedGenerations:
         return next((g for g in self.generations if candidate in g.genes), None)
 
     def evaluated_as(self, candidate: int) -> int:
-        """Return the candidate whose ending a candidate has."""
+        """Return the number under which a candidate was evaluated."""
         generation = self.generation_of(candidate)
         while generation is not None and candidate in generation.carried:
             candidate = generation.carried[candidate]
@@ -80,7 +80,7 @@ class RecordedGenerations:
 
     @property
     def candidates(self) -> int:
-        """Return how many candidates there are."""
+        """Return the number of candidates."""
         return sum(len(generation.genes) for generation in self.generations)
 
 
@@ -106,7 +106,7 @@ def _from_endings(spec: StudySpec, log: StudyLog) -> Iterator[RecordedGeneration
 
 
 def _usual_size(spec: StudySpec, number: int) -> int:
-    """Return how many evaluations a generation of the genetic search has."""
+    """Return the usual number of evaluations in a generation of the genetic search."""
     if spec.search.steady:
         left = spec.most_evaluations - number * spec.search.population
         return max(0, min(spec.search.population, left))
@@ -114,7 +114,7 @@ def _usual_size(spec: StudySpec, number: int) -> int:
 
 
 def best_in(scores: Mapping[int, float]) -> int:
-    """Return the candidate with the lowest score, the first of equals."""
+    """Return the candidate with the lowest score, the first in a tie."""
     return min(sorted(scores), key=lambda candidate: scores[candidate])
 
 

@@ -1,8 +1,8 @@
-"""Replays a search from the endings in a journal.
+"""Replay of a search from the endings in a journal.
 
-Candidates are numbered through all generations, elites included: candidate ``c`` is number
-``c - first`` of its generation. Elites keep the ending they got when they were evaluated, so
-they have none of their own; `PendingGeneration.carried_from` leads back to it.
+Candidates are numbered across all generations, including elites: candidate ``c`` has index
+``c - first`` in its generation. Elites have no ending of their own;
+`PendingGeneration.carried_from` leads to the evaluated candidate.
 """
 
 from collections.abc import Iterator, Mapping
@@ -22,11 +22,11 @@ class PendingGeneration:
     Parameters
     ----------
     number : int
-        Of the generation, from 0.
+        Number of the generation, from 0.
     first : int
         Number of its first candidate.
     space : Space
-        The names of the genes.
+        The searched box, with the names of the genes.
     proposal : Proposal
         Its candidates.
     """
@@ -38,7 +38,7 @@ class PendingGeneration:
 
     @property
     def candidates(self) -> tuple[int, ...]:
-        """Return the numbers of those that need an evaluation, in order."""
+        """Return the numbers of the candidates that need an evaluation, in order."""
         return tuple(self.first + index for index in self.proposal.to_evaluate)
 
     def genes(self, candidate: int) -> dict[str, float]:
@@ -61,33 +61,33 @@ class PendingGeneration:
         return ProposalRecord(self.number, self.first, tuple(self.space.names), genes, carried)
 
     def check(self, record: EvaluationRecord) -> None:
-        """Refuse a record that belongs to another search.
+        """Refuse a record from another search.
 
         Raises
         ------
         JournalError
-            If its genes are not those that this search proposes.
+            If its genes differ from the proposed ones.
         """
         expected = self.genes(record.candidate)
         if dict(record.genes) != expected:
             raise JournalError(
                 f"Candidate {record.candidate} has the genes {dict(record.genes)} in the journal, "
                 f"but this search proposes {expected}: it has changed since, so the study cannot "
-                "be continued. What was computed can still be read with `palpate status`, `show` "
-                "and `report`. To search on, run the study under another name: evaluations in the "
-                "store are used again."
+                "be continued. Its results can still be read with `palpate status`, `show` "
+                "and `report`. To continue searching, run the study under another name: "
+                "evaluations in the store are used again."
             )
 
 
 class SearchReplay:
-    """Proposes one generation after the other, each from those before.
+    """Step-by-step proposal of generations, each from the previous ones.
 
     Parameters
     ----------
     search : Search
-        Proposes.
+        Proposes the candidates.
     space : Space
-        What is searched.
+        The searched box.
     """
 
     def __init__(self, search: Search, space: Space) -> None:
@@ -97,7 +97,7 @@ class SearchReplay:
         self.history: list[Generation] = []
 
     def propose(self) -> PendingGeneration | Stopped:
-        """Return the population that follows the history, or why there is none."""
+        """Return the population that follows the history, or the reason to stop."""
         proposed = self._search.propose(self.history)
         if isinstance(proposed, Stopped):
             return proposed
@@ -106,7 +106,7 @@ class SearchReplay:
     def complete(
         self, pending: PendingGeneration, endings: Mapping[int, EvaluationRecord]
     ) -> Generation:
-        """Add a generation to the history; `endings` holds at least all of its candidates."""
+        """Add a generation to the history; `endings` has at least all of its candidates."""
         scores = {c - pending.first: score_of(endings[c]) for c in pending.candidates}
         fits = {c - pending.first: endings[c].fit for c in pending.candidates}
         generation = pending.proposal.complete(scores, self.history, fits)
@@ -117,7 +117,7 @@ class SearchReplay:
     def replay(
         self, endings: Mapping[int, EvaluationRecord]
     ) -> Iterator[tuple[PendingGeneration, Generation | None]]:
-        """Yield the generations that a journal holds; the last may be unfinished (None).
+        """Yield the generations in a journal; the last may be unfinished (None).
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""What a study asks of the workers: the functions, and the requests that are sent to them."""
+"""The functions that a study sends to the workers, and their requests."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -22,13 +22,13 @@ from palpate.workers.tasks import evaluation as evaluation_tasks
 from palpate.workers.tasks.deadline import evaluate_within
 from palpate.workers.tasks.findings import find
 
-# Finer than any voxel: bodies stay in voxels of their own.
+# Finer than any voxel, so bodies keep their own voxels.
 FINEST_MM = 1e-6
 
 
 @dataclass(frozen=True)
 class Tasks:
-    """The functions that are sent to the workers; see `workers.tasks.evaluation`."""
+    """The functions sent to the workers; see `workers.tasks.evaluation`."""
 
     prepare: Callable[..., PreparedBody] = evaluation_tasks.prepare_case
     target: Callable[..., PreparedTarget] = evaluation_tasks.make_target
@@ -50,7 +50,7 @@ class Resolution:
 
 
 class StudyWork:
-    """The requests of one study whose body and target are in the store.
+    """The requests of one study whose body and target are stored.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class StudyWork:
     dispatcher : TaskRunner
     body : PreparedBody
     target : str
-        Digest.
+        Digest of the target.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class StudyWork:
         self._resolutions: dict[int | None, Resolution] = {None: own}
 
     def resolution(self, level: int | None) -> Resolution:
-        """Return body, mesh and target of a level, made where they are missing."""
+        """Return body, mesh and target of a level, computing them if they are missing."""
         if level is not None and level not in self._resolutions:
             own, coarse = self._resolutions[None], self.spec.levels[level]
             where = coarse.spacing_mm, coarse.nodes, str(self.store.root)
@@ -89,7 +89,7 @@ class StudyWork:
     def request(
         self, genes: Mapping[str, float], level: int | None = None, *, derivatives: bool = False
     ) -> EvaluationRequest:
-        """Return the request of one evaluation, with its name."""
+        """Return the request of one evaluation, including its digest."""
         constants, at = self.spec.constants_of(genes), self.resolution(level)
         request: EvaluationRequest = {
             "store": str(self.store.root),
@@ -108,9 +108,9 @@ class StudyWork:
         return request
 
     def nuisances_request(self, genes: Mapping[str, float]) -> EvaluationRequest | None:
-        """Return the request of an evaluation that is also differentiated by the nuisances.
+        """Return the request of an evaluation with derivatives by the nuisance parameters.
 
-        None where the organ has none.
+        None if the organ has no nuisance parameters.
         """
         case = self.spec.case
         searched = self.spec.free_parameters
@@ -130,7 +130,7 @@ class StudyWork:
     def on_other_mesh(
         self, genes: Mapping[str, float], nodes: int
     ) -> tuple[EvaluationRequest, BodyFacts]:
-        """Return the request of an evaluation on a mesh of so many nodes, and facts of the mesh."""
+        """Return the request of an evaluation on a mesh of about `nodes` nodes, and its facts."""
         own = self._resolutions[None]
         where = FINEST_MM, nodes, str(self.store.root)
         made = self.dispatcher.call(self.tasks.level, own.case, own.body, own.target, *where)
@@ -156,11 +156,11 @@ class StudyWork:
 
     @property
     def evaluate(self) -> Task:
-        """Return the task that evaluates a candidate, with a deadline where there is one."""
+        """Return the task that evaluates a candidate, with a deadline if there is one."""
         return self.tasks.evaluate if self.spec.deadline_s is None else evaluate_within
 
     def arguments(self, request: EvaluationRequest) -> tuple[Any, ...]:
-        """Return what `evaluate` is called with."""
+        """Return the arguments of `evaluate`."""
         deadline_s = self.spec.deadline_s
         return (request,) if deadline_s is None else (deadline_s, self.tasks.evaluate, request)
 

@@ -1,4 +1,4 @@
-"""Workers for one piece of work: opened, told to stop by Ctrl-C, closed again."""
+"""Sessions: workers are opened for one piece of work, stopped by Ctrl-C, and closed."""
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -22,16 +22,16 @@ Runner = TypeVar("Runner", bound=TaskRunner, covariant=True)
 
 @dataclass(frozen=True)
 class Session(Generic[Runner]):
-    """Workers that are at hand.
+    """The workers of a session.
 
     Parameters
     ----------
     dispatcher : TaskRunner
-        Sends tasks to them.
+        Sends tasks to the workers.
     dashboard : str
         Address of Dask's page; empty if there is none.
     observers : tuple of Observer
-        Of a study that runs on them.
+        Observers for a study that runs on them.
     """
 
     dispatcher: Runner
@@ -45,8 +45,8 @@ def session(
 ) -> Iterator[Session[Dispatcher]]:
     """Open the workers of this machine or connect to a scheduler, until the work is done.
 
-    Ctrl-C and SIGTERM stop the dispatcher; the signals of a program that handles them itself
-    stay with it.
+    Ctrl-C and SIGTERM stop the dispatcher, unless the calling program handles these signals
+    itself.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def session(
     Interrupted
         If the user asks to stop; finished tasks are saved.
     ClusterError, InputError
-        As `open_cluster`.
+        As for `open_cluster`.
     """
     with stop_requests(respect_handlers=True) as requests:
         if requests:
@@ -87,7 +87,7 @@ def client_session(client: Client) -> Iterator[Session[Dispatcher]]:
 
 @contextmanager
 def in_process_session() -> Iterator[Session[SingleProcess]]:
-    """Run all tasks in this process, one after the other; Ctrl-C stops the one that is running."""
+    """Run all tasks in this process, one at a time; Ctrl-C stops the current one."""
     yield Session(SingleProcess())
 
 
@@ -98,7 +98,7 @@ def chosen_session(
     client: Client | None = None,
     in_process: bool = False,
 ) -> AbstractContextManager[Session[TaskRunner]]:
-    """Return the session of the workers that a caller has chosen.
+    """Return the session for the workers chosen by the caller.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def chosen_session(
     Raises
     ------
     InputError
-        If more than one is chosen.
+        If more than one kind of workers is chosen.
     """
     choices = {
         "workers": workers is not None,
@@ -120,7 +120,7 @@ def chosen_session(
     }
     chosen = [name for name, is_chosen in choices.items() if is_chosen]
     if len(chosen) > 1:
-        raise InputError(f"Give one of {' and '.join(chosen)}: each says where the work is done.")
+        raise InputError(f"Give one of {' and '.join(chosen)}: each chooses the workers.")
     if client is not None:
         return client_session(client)
     return in_process_session() if in_process else session(scheduler, workers)

@@ -1,7 +1,7 @@
-"""Reads the one file that a user writes: a case, a target, a score, a search and a seed.
+"""The study file: a case, a target, a score, a search and a seed.
 
-Case, target and score are checked by `workers.spec`; this file adds the search,
-reads YAML, and says in which keys two studies differ.
+Case, target and score are defined in `workers.spec`; this module adds the search, reads YAML,
+and lists the keys in which two studies differ.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -45,28 +45,29 @@ from palpate.workers.spec import (
     validated,
 )
 
-# Stands for a key that a study does not have.
+# Stands for a missing key.
 ABSENT = "absent"
 
 
 class StudySpec(Door):
-    """A study: what is asked, of which body, and how it is searched.
+    """A study: the body, its deformed image, and the search.
 
-    Case, target and score are those of the organ that the case names; validating any study
-    gives one of `study_of` that organ. ``keep`` says which deformed bodies stay in the
-    store beside those of the target and of the best candidate. An evaluation that takes longer
-    than ``deadline_s`` is tried once more, then it has failed; see `workers.tasks.deadline`.
+    Case, target and score are models of the organ that the case names; validating any study
+    returns an instance of that organ's `study_of`. ``keep`` selects the deformed bodies that
+    are stored in addition to the target and the best candidate. An evaluation that takes
+    longer than ``deadline_s`` is retried once, then it has failed; see
+    `workers.tasks.deadline`.
 
     Parameters
     ----------
     score
         How the deformed body is compared with the target.
     seed
-        Of the search; the same seed gives the same candidates.
+        Seed of the search; the same seed gives the same candidates.
     keep
-        Deformed bodies to store in addition to those of the target and the best candidate.
+        Deformed bodies to store in addition to the target and the best candidate.
     deadline_s
-        Longest time of one evaluation, in s. One that takes longer is tried once more, then it has
+        Longest time of one evaluation, in s. One that takes longer is retried once, then it has
         failed. Default: no limit.
     """
 
@@ -91,12 +92,12 @@ class StudySpec(Door):
 
     @classmethod
     def record_for(cls, data: Any) -> type[Door]:
-        """Return the study of the organ that `data` names."""
+        """Return the study model of the organ named in `data`."""
         return study_of(organ_in(data)) if isinstance(data, Mapping) else cls
 
     @model_validator(mode="after")
     def _load_is_stated_for_an_image(self) -> Self:
-        """Refuse the load of an image to be a default: only the user knows it."""
+        """Require the load of an image to be given: only the user knows it."""
         lacking = self.case.unstated_load(self.search.parameters)
         if self.target.is_image and lacking:
             raise missing(
@@ -116,7 +117,7 @@ class StudySpec(Door):
             if name in self.case.constants:
                 raise ValueError(
                     f"{name} is searched (search.parameters) and held (case.constants): "
-                    "take it out of one of them"
+                    "remove it from one of them"
                 )
         return self
 
@@ -137,7 +138,7 @@ class StudySpec(Door):
 
     @property
     def search_strategy(self) -> Search:
-        """Return the search, ready to propose."""
+        """Return the search."""
         search, stop = self._strategy.make(self._asked), self.search.stop
         if stop is None:
             return search
@@ -147,7 +148,7 @@ class StudySpec(Door):
 
     @property
     def steady_search(self) -> SteadyGenetic:
-        """Return the search without barriers, ready to propose."""
+        """Return the steady search."""
         search = self.search
         in_flight = search.in_flight or search.population
         return SteadyGenetic(search.space, search.settings, self.seed, in_flight)
@@ -169,7 +170,7 @@ class StudySpec(Door):
     def levels(self) -> tuple[LevelSpec, ...]:
         """Return the coarser resolutions in which constants are fitted first, coarse to fine.
 
-        Without ``search.levels`` a fit from scratch takes those of `COARSE_LEVELS` that have at
+        Without ``search.levels`` a fit from scratch takes the `COARSE_LEVELS` that have at
         most half the nodes of the case.
         """
         if self.search.levels is not None:
@@ -181,13 +182,13 @@ class StudySpec(Door):
 
     @property
     def free_parameters(self) -> list[FreeParameter]:
-        """Return the searched parameters, inside names and units, as an evaluation needs them."""
+        """Return the searched parameters with internal names and units, for an evaluation."""
         bounds = self.case.parameters.bounds_from_door(self.search.parameters)
         return [{"name": n, "lower": lo, "upper": hi} for n, (lo, hi) in bounds.items()]
 
     @property
     def fitted_names(self) -> FittedNames:
-        """Return how the genes stand in the least-squares problem of an evaluation."""
+        """Return the names and units of the genes in an evaluation's least-squares problem."""
         genes = [self.case.parameters.at_door(name) for name in self.search.parameters]
         return FittedNames(tuple(p.name for p in genes), tuple(p.unit.to_door(1.0) for p in genes))
 
@@ -201,24 +202,24 @@ class StudySpec(Door):
 
     @property
     def common_scale(self) -> tuple[str, ...]:
-        """Return the searched stiffnesses of which only ratios can be found, inside names."""
+        """Return the searched stiffnesses known only up to a common factor, internal names."""
         names = [self.case.parameters.at_door(name).name for name in self.search.parameters]
         return self.case.common_scale(names)
 
     def constants_of(self, genes: Mapping[str, float]) -> dict[str, float]:
-        """Convert searched parameters from the door (kPa) to names and units inside (MPa)."""
+        """Convert searched parameters to internal names and units (kPa to MPa)."""
         return self.case.parameters.from_door(genes)
 
     @property
     def identifiable(self) -> Identifiable:
-        """Return whether stiffnesses can be found, or only their ratios."""
+        """Return the identifiability of the stiffnesses: values, or only their ratios."""
         parameters = self.case.parameters
         return self.case.identifiable(
             {parameters.at_door(name).name for name in self.search.parameters}
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values, defaults written out, but for what older studies do not have."""
+        """Return plain values, including defaults, except keys that older studies lack."""
         values = self.model_dump(mode="json")
         if self.deadline_s is None:
             del values["deadline_s"]
@@ -238,18 +239,18 @@ class StudySpec(Door):
 
     @property
     def digest(self) -> str:
-        """Return a short name of everything that the study file says."""
+        """Return the digest of the study file's content."""
         return digest(self.as_dict())
 
 
 @cache
 def study_of(organ: str) -> type[StudySpec]:
-    """Return the study whose case, target and score are those of an organ.
+    """Return the study model with the case, target and score of an organ.
 
     Raises
     ------
     InputError
-        If there is no such organ.
+        If the organ is unknown.
     """
     doors = organ_spec(organ)
     made: type[StudySpec] = create_model(
@@ -263,7 +264,7 @@ def study_of(organ: str) -> type[StudySpec]:
 
 
 def organ_in(data: Mapping[str, Any]) -> str:
-    """Return the organ that a study names; the default where that makes no sense."""
+    """Return the organ named in a study; the default if it is invalid."""
     case = data.get("case")
     named = case.get("organ", DEFAULT) if isinstance(case, Mapping) else DEFAULT
     organ = getattr(case, "organ", named)
@@ -273,13 +274,13 @@ def organ_in(data: Mapping[str, Any]) -> str:
 def read_spec(path: Path) -> StudySpec:
     """Read a study file.
 
-    Paths of volumes are taken relative to the folder of the file, and become
-    absolute: a study goes on wherever it is called from.
+    Paths of volumes are relative to the folder of the file and are made absolute, so a study
+    can be continued from any folder.
 
     Raises
     ------
     InputError
-        If there is no such file, it is no YAML, or a key or value makes no sense.
+        If the file does not exist, is not YAML, or has an invalid key or value.
     """
     return parse_spec(study_text(path), str(path), path.resolve().parent)
 
@@ -290,7 +291,7 @@ def study_text(path: Path) -> str:
     Raises
     ------
     InputError
-        If there is no such file, or it is no text.
+        If the file does not exist, or is not text.
     """
     if path.is_dir():
         raise InputError(
@@ -308,29 +309,29 @@ def study_text(path: Path) -> str:
 
 
 def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
-    """Parse the study that `text` describes; `where` names it in messages.
+    """Parse the study in `text`; `where` names it in messages.
 
     Raises
     ------
     InputError
-        If it is no YAML, or a key or value makes no sense.
+        If it is not YAML, or has an invalid key or value.
     """
     with reading(where, "a study"):
         return validated(StudySpec, study_keys(text, where, folder), where)
 
 
 def study_keys(text: str, where: str, folder: Path) -> dict[str, Any]:
-    """Return the keys of a study as they are written, paths of volumes made absolute.
+    """Return the keys of a study as written, with absolute paths of volumes.
 
     Raises
     ------
     InputError
-        If the text is no YAML, or holds no keys.
+        If the text is not YAML, or has no keys.
     """
     data = parse_yaml(text, where)
     if not isinstance(data, dict):
         kind = "nothing" if data is None else type(data).__name__
-        raise InputError(f"{where} must hold keys such as name, case and search, found {kind}.")
+        raise InputError(f"{where} must have keys such as name, case and search, found {kind}.")
     _make_absolute(data.get("target"), folder)
     case = data.get("case")
     _make_absolute(case.get("reference") if isinstance(case, dict) else None, folder)
@@ -338,7 +339,7 @@ def study_keys(text: str, where: str, folder: Path) -> dict[str, Any]:
 
 
 def _make_absolute(image: object, folder: Path) -> None:
-    """Replace paths that exist beside the study file; a name in the store stays."""
+    """Make paths that exist next to the study file absolute; names in the store are kept."""
     for key, value in image.items() if isinstance(image, dict) else ():
         _make_absolute(value, folder)
         if key in ("volume", "file", "labels") and isinstance(value, str):
@@ -348,7 +349,7 @@ def _make_absolute(image: object, folder: Path) -> None:
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """List the keys in which two studies differ, one line each.
+    """Return the keys in which two studies differ, one line each.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Evaluates the candidates of a steady search: one more is bred whenever one has ended."""
+"""Evaluation of a steady search: a new candidate is bred whenever one has ended."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -14,11 +14,11 @@ from palpate.storage.records.evaluations import load_evaluation
 from palpate.storage.records.record import EvaluationRecord
 
 BlockEnded = Callable[[int, Generation, bool], None]
-"""Told of every block: its number, its endings, and whether the journal had them before."""
+"""Called after every block with its number, its endings, and whether they were replayed."""
 
 
 class SteadyRun:
-    """One run of a study without barriers.
+    """One run of a study without barriers between generations.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class SteadyRun:
     block_ended : callable
         See `BlockEnded`.
     reason_to_stop : callable
-        Returns why no further candidates are wanted, or None.
+        Returns the reason to propose no further candidates, or None.
     """
 
     def __init__(
@@ -41,8 +41,8 @@ class SteadyRun:
         self._evaluation, self._block_ended = evaluation, block_ended
         self._replay = SteadyReplay(search)
         self._size = search.settings.population
-        self._sharing: dict[str, list[int]] = {}  # equal candidates have one evaluation
-        self._crashed: list[Ending] = []  # not journalled while nothing but crashes has come
+        self._sharing: dict[str, list[int]] = {}  # equal candidates share one evaluation
+        self._crashed: list[Ending] = []  # not saved as long as every candidate crashes
         self._lost: list[Ending] = []
         self._history: list[Generation] = []
         self._stopped: Stopped | None = None
@@ -50,12 +50,12 @@ class SteadyRun:
     def to_the_end(
         self, endings: Mapping[int, EvaluationRecord]
     ) -> tuple[Stopped, tuple[Generation, ...]]:
-        """Return why the search has stopped, and its endings in blocks.
+        """Return the reason why the search stopped, and its endings in blocks.
 
         Parameters
         ----------
         endings : mapping of int to EvaluationRecord
-            What the journal held when the run began, in its order.
+            The endings in the journal at the start of the run, in their order.
         """
         hooks, dispatcher = self._evaluation.hooks, self._evaluation.dispatcher
         hooks.generation_begun(0, self._size)
@@ -74,10 +74,10 @@ class SteadyRun:
         return self._replay.ended > len(before)
 
     def _calls(self) -> Iterator[Any]:
-        """Yield what is to be evaluated, `NOT_YET` while the next one has to wait."""
+        """Yield the next evaluations; `NOT_YET` while the next one has to wait."""
         while not isinstance(pending := self._proposed(), Stopped):
             if pending is None:
-                if len(self._crashed) == len(self._sharing):  # nothing else is under way
+                if len(self._crashed) == len(self._sharing):  # nothing else is running
                     self._write_down_crashed()
                 yield NOT_YET
             else:
@@ -139,5 +139,5 @@ class SteadyRun:
     def _end_block(self, *, replayed: bool) -> None:
         self._history.append(self._replay.last_block())
         self._block_ended(len(self._history) - 1, self._history[-1], replayed)
-        if self._evaluation.work.spec.keep != "elites":  # which are known at the end only
+        if self._evaluation.work.spec.keep != "elites":  # which are known only at the end
             self._evaluation.forget(self._replay.proposed)

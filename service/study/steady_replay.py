@@ -1,7 +1,7 @@
-"""Replays a search without generations, in the order in which its journal has the endings.
+"""Replay of a search without generations, in the order of the endings in its journal.
 
-Candidates are counted in blocks of a population, so that results and pages can speak of
-generations; nobody waits for the end of a block.
+Candidates are counted in blocks of a population, so that results and pages can refer to
+generations; there is no barrier at the end of a block.
 """
 
 from collections.abc import Iterator, Mapping
@@ -16,7 +16,7 @@ from palpate.storage.records.record import EvaluationRecord
 
 
 class SteadyReplay:
-    """Proposes one candidate after the other, each from the endings that it may know.
+    """Step-by-step proposal of candidates, each from the endings available to it.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class SteadyReplay:
     Attributes
     ----------
     proposed : int
-        Candidates so far.
+        Number of candidates so far.
     """
 
     def __init__(self, search: SteadyGenetic) -> None:
@@ -41,11 +41,11 @@ class SteadyReplay:
 
     @property
     def ended(self) -> int:
-        """Return how many endings there are."""
+        """Return the number of endings."""
         return len(self._ended)
 
     def propose(self) -> PendingGeneration | Stopped | None:
-        """Return the next candidate; None while it has to wait for an ending."""
+        """Return the next candidate; None if it has to wait for an ending."""
         known = self.search.known_at(self.proposed)
         if known > len(self._ended):
             return None
@@ -61,7 +61,7 @@ class SteadyReplay:
         return pending
 
     def last_block(self) -> Generation:
-        """Return the last endings, as many as a population or as there are."""
+        """Return the last endings, up to a population of them."""
         count = self.search.settings.population
         rest = (len(self._ended) - 1) % count + 1
         genes, scores = zip(*self._ended[-rest:], strict=True)
@@ -71,7 +71,7 @@ class SteadyReplay:
 def replayed(
     search: SteadyGenetic, endings: Mapping[int, EvaluationRecord]
 ) -> Iterator[tuple[PendingGeneration, Generation | None]]:
-    """Yield the blocks of candidates that a journal holds; one with open ends has no scores.
+    """Yield the blocks of candidates in a journal; an incomplete block has no scores.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What of a store the studies use, and what can go."""
+"""Stored data that studies still need, and data that can be deleted."""
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ DAY_S = 86_400.0
 
 @dataclass(frozen=True)
 class StudyUse:
-    """What one study needs: digests by folder of the store, and volumes that its file names."""
+    """Data needed by one study: digests by folder of the store, and volumes named in its file."""
 
     volumes: frozenset[str]
     meshes: frozenset[str]
@@ -26,7 +26,7 @@ class StudyUse:
     named: frozenset[str] = frozenset()
 
     def places(self, store: Store) -> list[Place]:
-        """Return where they lie, or would lie."""
+        """Return the locations of the data, whether or not they exist."""
         layout = store.layout
         return [
             *(layout.volume(name) for name in sorted(self.volumes)),
@@ -37,7 +37,7 @@ class StudyUse:
 
 
 def study_use(folder: Path) -> StudyUse:
-    """Return what a study needs: bodies, mesh, and all its evaluations.
+    """Return the data that a study needs: bodies, mesh, and all its evaluations.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def study_use(folder: Path) -> StudyUse:
 
 
 def _volumes_named(spec: object) -> Iterator[str]:
-    """Yield what a study file gives for a volume, at any depth: paths, names or digests."""
+    """Yield the volumes in a study file, at any depth: paths, names or digests."""
     for key, value in spec.items() if isinstance(spec, Mapping) else ():
         if key == "volume" and isinstance(value, str):
             yield value
@@ -68,7 +68,7 @@ def _volumes_named(spec: object) -> Iterator[str]:
 
 
 def studies_in(folders: Iterable[Path]) -> list[Path]:
-    """Return all studies at or below some folders."""
+    """Return all studies in some folders and their subfolders."""
     found = []
     for folder in folders:
         if StudyLayout(folder).journal.is_file():
@@ -80,7 +80,7 @@ def studies_in(folders: Iterable[Path]) -> list[Path]:
 
 @dataclass(frozen=True)
 class NamedVolume:
-    """A volume that is called by its name, and the studies that need it.
+    """A named volume and the studies that need it.
 
     Parameters
     ----------
@@ -95,12 +95,12 @@ class NamedVolume:
 
 
 def find_named(store: Store, names: Sequence[str], folders: Iterable[Path]) -> list[NamedVolume]:
-    """Return the volumes with these names, and which of the studies in some folders need them.
+    """Return the volumes with these names, and the studies in some folders that need them.
 
     Raises
     ------
     InputError
-        If no volume has a name.
+        If there is no volume of a given name.
     StoreError
         If the journal of a study is damaged.
     """
@@ -119,19 +119,19 @@ def find_named(store: Store, names: Sequence[str], folders: Iterable[Path]) -> l
 
 
 def refuse_if_needed(volumes: Iterable[NamedVolume]) -> None:
-    """Refuse to remove volumes that a study needs.
+    """Refuse to remove volumes that studies need.
 
     Raises
     ------
     InputError
-        Naming each, with its studies.
+        Names each volume with its studies.
     """
     needed = [v for v in volumes if v.studies]
     if needed:
         lines = "; ".join(f"{v.name} by {', '.join(map(str, v.studies))}" for v in needed)
         raise InputError(
-            f"Studies need what is to be removed: {lines}. Without it they can be read, but not "
-            "continued, drawn or diagnosed. Nothing was removed; to do it all the same, add "
+            f"Studies need these volumes: {lines}. Without them they can be read, but not "
+            "continued, drawn or diagnosed. Nothing was removed; to remove them anyway, add "
             "--force."
         )
 
@@ -142,7 +142,7 @@ def _needs(use: StudyUse, name: str, digest: str) -> bool:
 
 @dataclass(frozen=True)
 class Garbage:
-    """What no study needs.
+    """Data that no study needs.
 
     Parameters
     ----------
@@ -157,16 +157,16 @@ class Garbage:
 def find_garbage(
     store: Store, uses: Iterable[StudyUse], *, older_than_days: float, images: bool = False
 ) -> Garbage:
-    """Find what none of the studies needs and nobody has touched for some days.
+    """Return the data that no study needs and that have not changed for some days.
 
     Parameters
     ----------
     uses : iterable of StudyUse
-        Of all studies that are to be kept.
+        Of all studies to keep.
     older_than_days : float
-        Younger entries stay: a run may just be making use of them.
+        Younger entries are kept: a run may be using them.
     images : bool
-        Imported images, too; nobody can make them again.
+        Whether to include imported images, which cannot be recomputed.
     """
     kept = {place for use in uses for place in use.places(store)}
     oldest = time.time() - older_than_days * DAY_S
@@ -174,7 +174,7 @@ def find_garbage(
     paths = []
     for folder in store.layout.folders:
         for entry in store.backend.entries(folder):
-            if entry.half_written:  # and given up, for nobody writes one thing for a day
+            if entry.half_written:  # and abandoned, since no write takes a day
                 paths += [entry.place] if entry.modified_s < day_ago else []
                 continue
             if entry.place in kept or entry.modified_s > oldest:
@@ -186,12 +186,12 @@ def find_garbage(
 
 
 def remove(store: Store, garbage: Garbage) -> None:
-    """Remove it, records of evaluations first: they vouch for the rest.
+    """Remove data, evaluation records first, as they mark the rest as complete.
 
     Raises
     ------
     StoreError
-        If the place cannot be written.
+        If the store cannot be written.
     """
     for path in sorted(garbage.paths, key=lambda path: path.suffix != ".json"):
         store.backend.remove(path)
@@ -201,4 +201,4 @@ def _is_imported(store: Store, entry: Place) -> bool:
     try:
         return "name" in volume_meta(store, entry.stem)
     except StoreError:
-        return True  # damaged: `palpate store check` decides
+        return True  # damaged: left to `palpate store check`

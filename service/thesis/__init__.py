@@ -1,1 +1,1 @@
-"""The thesis reproduced: its experiments run, compared with what it prints, bound as a book."""
+"""Reproduction of the thesis: its experiments, compared with its printed results, as a book."""

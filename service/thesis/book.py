@@ -1,4 +1,4 @@
-"""Binds the experiments as one self-contained page, a chapter each."""
+"""The experiments as one self-contained page, with a chapter for each."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from palpate.service.versions import palpate_version
 
 SCALES = {
     "sketch": "A sketch: coarse voxels, few candidates, two phantoms. Its numbers mean little.",
-    "reduced": "Reduced scale: bodies of an eighth of the volume, 5,000 nodes in the searches.",
+    "reduced": "Reduced scale: bodies of one eighth of the volume, 5,000 nodes in the searches.",
     "full": "The thesis' own scale.",
 }
 WORDS = {
@@ -79,8 +79,8 @@ def _headline(judged: Sequence[Verdict]) -> str:
     comparable = sum(n for word, n in counts.items() if word != "cannot be")
     return (
         f"{counts['reproduced']} reproduced or bettered, {counts['approached']} approached, "
-        f"{counts['not reproduced']} not reproduced, of {comparable} numbers and statements that "
-        f"can be compared; {counts['cannot be']} cannot be."
+        f"{counts['not reproduced']} not reproduced, of {comparable} comparable numbers and "
+        f"statements; {counts['cannot be']} cannot be compared."
     )
 
 
@@ -89,7 +89,7 @@ def _tiles(results: ThesisResults, judged: Sequence[Verdict]) -> list[tuple[str,
     good = sum(v.word == "reproduced" for v in judged)
     tiles = [
         ("Reproduced or bettered", str(good), f"of {len(judged)}"),
-        ("All of this took", duration(cpu_s), "of one core"),
+        ("Total time", duration(cpu_s), "of one core"),
     ]
     if results.search is not None and results.search.searches:
         found = results.search.searches

@@ -1,4 +1,4 @@
-"""Draws the charts of the book."""
+"""Charts of the book."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -21,7 +21,7 @@ from palpate.workers.thesis.selection import Selection
 
 WIDTH_IN = 10.4
 TARGET_LINE: Mapping[str, Any] = {"color": INK, "linewidth": 1.1, "linestyle": (0, (2, 2))}
-# Okabe and Ito (2008), beside the blue, orange and grey of all charts.
+# Okabe and Ito (2008), in addition to the blue, orange and grey of all charts.
 LINES = (BLUE, ORANGE, "#009e73", "#cc79a7", VERMILION, GREY)
 KIND_COLOURS = dict(
     zip(
@@ -30,9 +30,9 @@ KIND_COLOURS = dict(
         strict=True,
     )
 )
-# Letters of a name of which four fit beside each other above a plot.
+# Length of a name up to which four fit in a row above a plot.
 SHORT_NAME = 5
-# Six plots, as the thesis divides its 28 curves; a line style for each of a plot.
+# Six plots, as the thesis divides its 28 curves; each curve of a plot has its own line style.
 PLOTS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("overlap and volume", ("JC", "DC", "dV")),
     ("percentiles 50, 75", HAUSDORFF_NAMES[:8]),
@@ -70,7 +70,7 @@ def coefficient_curves(selection: Selection) -> Figure:
         legend(axes, ncols=columns, handlelength=1.1)
         shown = axes.get_legend()
         if shown is not None:
-            shown.set_in_layout(False)  # columns stay as wide as each other
+            shown.set_in_layout(False)  # columns keep equal widths
     return drawn
 
 
@@ -94,7 +94,7 @@ def cylinder_curves(rows: Sequence[CylinderRow]) -> Figure:
 
 
 def quality_bars(rows: Sequence[QualityRow]) -> Figure:
-    """Draw the means of M1 to M5 of each kind of mesh (Fig. 4.15)."""
+    """Draw the means of M1 to M5 for each kind of mesh (Fig. 4.15)."""
     kinds = [kind for kind in KIND_COLOURS if any(row.kind == kind for row in rows)]
     names = ("M1", "M2", "M3", "M4", "M5")
     drawn = figure(WIDTH_IN, 3.4)
@@ -121,7 +121,7 @@ def quality_bars(rows: Sequence[QualityRow]) -> Figure:
 
 
 def quality_histograms(rows: Sequence[QualityRow]) -> Figure:
-    """Draw how the tetrahedra of all phantoms are spread over each measure."""
+    """Draw the distribution of each measure over the tetrahedra of all phantoms."""
     drawn = figure(WIDTH_IN, 2.6)
     kinds = [k for k in ("adaptive", "homogeneous", "fTetWild") if any(r.kind == k for r in rows)]
     for axes, name in zip(drawn.subplots(1, len(MEASURES)), MEASURES, strict=True):
@@ -148,7 +148,7 @@ def quality_histograms(rows: Sequence[QualityRow]) -> Figure:
 
 
 def pictures_in_a_row(shown: Sequence[tuple[str, NDArray[Any]]], *, labels: bool = False) -> Figure:
-    """Draw grey or coloured pictures beside each other."""
+    """Draw grey or coloured pictures in a row."""
     rows, columns = shown[0][1].shape[:2]
     height = min(5.0, 0.3 + WIDTH_IN / len(shown) * rows / columns)
     drawn = figure(WIDTH_IN, height)
@@ -162,7 +162,7 @@ def pictures_in_a_row(shown: Sequence[tuple[str, NDArray[Any]]], *, labels: bool
 
 
 def errors(found: Sequence[FoundSearch], table: printed.SearchTable) -> Figure:
-    """Draw the relative errors of every constant: the thesis', ours, and before the polish."""
+    """Draw the relative errors of each constant: thesis, Palpate, and before the refinement."""
     names = [c.name for c in found[0].constants]
     drawn = figure(WIDTH_IN, 0.75 + 0.55 * len(names))
     axes = calm(drawn.subplots(), grid="x")
@@ -190,12 +190,12 @@ def errors(found: Sequence[FoundSearch], table: printed.SearchTable) -> Figure:
 def _error_marks(found: Sequence[FoundSearch]) -> list[tuple[str, str, str]]:
     marks = [("D", GREY, "thesis"), ("o", BLUE, "Palpate")]
     if any(c.genetic_error is not None for s in found for c in s.constants):
-        marks.insert(1, ("s", ORANGE, "Palpate, genetic part alone"))
+        marks.insert(1, ("s", ORANGE, "Palpate, genetic stage alone"))
     return marks
 
 
 def sensitivity_curves(varied: Sequence[Varied]) -> Figure:
-    """Draw JC and MHD over each constant (Fig. 4.22 is the one of eta_glandular)."""
+    """Draw JC and MHD over each constant (Fig. 4.22 shows eta_glandular)."""
     drawn = figure(WIDTH_IN, 4.2)
     grid: NDArray[Any] = drawn.subplots(2, len(varied), sharey="row", squeeze=False)
     for column, one in enumerate(varied):

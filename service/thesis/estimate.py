@@ -1,4 +1,4 @@
-"""About how long what is still missing takes, from what such parts have cost before."""
+"""Estimated time of the missing parts, from the recorded times of similar parts."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -15,22 +15,22 @@ from palpate.workers.tasks.thesis.parts import Request, machine
 RECORDED = Path(__file__).with_name("recorded_seconds.json")
 
 Seconds = dict[str, float]
-"""Processor seconds of a part, by its kind."""
+"""Processor seconds of a part, by kind."""
 
 Ways = list[tuple[str, float]]
-"""Kinds of parts by which to know a cost, the nearest first, and how many of each it takes."""
+"""Kinds of parts from which to derive a time, the most similar first, with multipliers."""
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """What parts have cost.
+    """Recorded times of parts.
 
     Parameters
     ----------
     machine : str
-        Where.
+        The machine on which they ran.
     seconds : mapping of str to float
-        Processor seconds of one part or search, by kind; of searches those of the workers.
+        Processor seconds of one part or search, by kind; for searches those of the workers.
     """
 
     machine: str
@@ -39,19 +39,19 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Estimate:
-    """About how long it takes.
+    """The estimated time of the missing parts.
 
     Parameters
     ----------
     cpu_s : float
-        Processor seconds of the parts that are missing.
+        Processor seconds of the missing parts.
     workers : int
     missing, of : int
-        Parts and searches.
+        Numbers of parts and searches.
     machines : tuple of str
-        Where such parts were timed.
+        Machines on which similar parts were timed.
     unknown : int
-        Missing parts of kinds that nobody has timed at this scale.
+        Missing parts of kinds that have not been timed at this scale.
     """
 
     cpu_s: float
@@ -63,7 +63,7 @@ class Estimate:
 
     @property
     def sentence(self) -> str:
-        """Say it."""
+        """Return the estimate as a sentence."""
         if not self.missing:
             return f"All {self.of} parts are in the store: nothing to compute."
         known = self.missing - self.unknown
@@ -76,12 +76,14 @@ class Estimate:
             f"core{'s' if self.workers > 1 else ''} (timed on {where})"
         )
         if self.unknown:
-            return f"{text}, without {self.unknown} that nobody has timed at this scale."
+            return f"{text}, without {self.unknown} that have not been timed at this scale."
         return f"{text}."
 
 
 def estimate(request: ThesisRequest, workers: int) -> Estimate:
-    """Estimate the time of all that the store does not have.
+    """Return the estimated time of all parts missing in the store.
+
+    Times of parts of the same kind in the store take precedence over the shipped ones.
 
     Parts of the same kind in the store come first, since they were timed here; else
     those that are shipped.
@@ -109,22 +111,22 @@ def estimate(request: ThesisRequest, workers: int) -> Estimate:
 
 
 def parts_of(experiment: str, store: str, scale: str) -> list[Request]:
-    """Return all parts of an experiment but its studies."""
+    """Return all parts of an experiment except its studies."""
     return [r for phase in phases_of(experiment, store, scale) for r in phase.requests]  # type: ignore[arg-type]
 
 
 def kind_of(run: SearchRun) -> str:
-    """Name what takes about as long as a search."""
+    """Return the kind of a search for its recorded time."""
     return f"search, {run.target}, {run.spec.search.strategy}"
 
 
 def _kind_of_one(run: SearchRun) -> str:
-    """Name the part that simulates what one candidate of a search does."""
+    """Return the kind of the part that does the same as one candidate of a search."""
     return f"vary, {'X3' if run.target == 'X3' else 'X1'}"
 
 
 def _cost(ways: Ways, here: Seconds, shipped: Recorded | None) -> tuple[float, str] | None:
-    """Return seconds and machine of the first way that was timed, here before elsewhere."""
+    """Return seconds and machine of the first kind that was timed, preferably here."""
     for kind, times in ways:
         if kind in here:
             return times * here[kind], "this machine"
@@ -134,14 +136,14 @@ def _cost(ways: Ways, here: Seconds, shipped: Recorded | None) -> tuple[float, s
 
 
 def recorded_here(request: ThesisRequest) -> Recorded:
-    """Return what the parts in the store have cost, by kind."""
+    """Return the times of the parts in the store, by kind."""
     store = str(request.store)
     parts = [r for e in request.experiments for r in parts_of(e, store, request.scale)]
     return Recorded(machine(), _seconds(parts, request.searches))
 
 
 def shipped_seconds(scale: str) -> Recorded | None:
-    """Return what was recorded when Palpate was made; None where nothing was at this scale."""
+    """Return the times shipped with Palpate; None if there are none for this scale."""
     text = json.loads(RECORDED.read_text(encoding="utf-8"))
     found = text["seconds"].get(scale)
     return None if found is None else Recorded(text["machine"], found)
@@ -150,7 +152,7 @@ def shipped_seconds(scale: str) -> Recorded | None:
 def _seconds(parts: Iterable[Request], runs: Iterable[SearchRun]) -> Seconds:
     """Return the mean processor seconds of a finished part, by kind.
 
-    A few take ten times as long as most, and count in a sum.
+    A few take ten times as long as most, which a mean accounts for.
     """
     by_kind: dict[str, list[float]] = {}
     for request in parts:

@@ -1,4 +1,4 @@
-"""Which parts each experiment of the thesis consists of, in the order of their needs.
+"""The parts of each experiment of the thesis, in the order of their dependencies.
 
 ::
 
@@ -6,7 +6,7 @@
     mesh-quality   meshes; compressions > compared
     mammogram      compressions > mammograms
     search         studies, see `service.thesis.search`
-    sensitivity    every constant varied
+    sensitivity     variation of every constant
 """
 
 from collections.abc import Callable, Sequence
@@ -47,24 +47,24 @@ Experiment = Literal["coefficients", "mesh-quality", "mammogram", "search", "sen
 EXPERIMENTS: tuple[Experiment, ...] = get_args(Experiment)
 LAWS: tuple[LawName, ...] = get_args(LawName)
 PRESSED_ON: tuple[MeshKind, ...] = ("adaptive", "homogeneous")
-# Values of each constant, evenly over its interval, the target beside them.
+# Number of values of each constant, evenly spaced over its interval, with the target added.
 VALUES: dict[Scale, int] = {"sketch": 3, "reduced": 9, "full": 16}
-# Which phantom shows the sensitivity, and the mesh slices.
+# The phantom of the sensitivity and of the mesh slices.
 SHOWN_PHANTOM = 3
 
-AnyRequest = Any  # a request of the phase's task
+AnyRequest = Any  # a request for the phase's task
 
 
 @dataclass(frozen=True)
 class Phase:
-    """Parts that do not need each other.
+    """Parts that are independent of each other.
 
     Parameters
     ----------
     title : str
-        What is done, for a reader.
+        Description for the user.
     task : callable
-        Takes a request, leaves the part in the store, returns what it has cost.
+        Takes a request, stores the part, returns its cost.
     requests : sequence of Request
     """
 
@@ -74,12 +74,12 @@ class Phase:
 
     @property
     def missing(self) -> list[Request]:
-        """Return the parts that the store does not have."""
+        """Return the parts missing in the store."""
         return [request for request in self.requests if not request.part.is_finished]
 
 
 def phases_of(experiment: Experiment, store: str, scale: Scale) -> list[Phase]:
-    """Return what an experiment asks of the workers, one phase after the other."""
+    """Return the phases of an experiment in order."""
     make = {
         "coefficients": _coefficients,
         "mesh-quality": _mesh_quality,
@@ -91,30 +91,30 @@ def phases_of(experiment: Experiment, store: str, scale: Scale) -> list[Phase]:
 
 
 def measured_meshes(store: str, scale: Scale) -> list[Measure]:
-    """Return the meshes whose quality is measured; fTetWild only where it is installed."""
+    """Return the meshes whose quality is measured; fTetWild only if it is installed."""
     kinds = kinds_at(scale, other_mesher=has_tetwild())
     return [Measure(store, scale, n, kind) for n, kind in product(NUMBERS[scale], kinds)]
 
 
 def compressions(store: str, scale: Scale, laws: Sequence[LawName] = LAWS) -> list[Press]:
-    """Return the compressions; those on one mesh stand together."""
+    """Return the compressions, grouped by mesh."""
     every = product(NUMBERS[scale], PRESSED_ON, laws, AXES)
     return [Press(store, scale, number, mesh, law, view) for number, mesh, law, view in every]
 
 
 def comparisons(store: str, scale: Scale) -> list[ComparePressed]:
-    """Return the comparisons of both meshes."""
+    """Return the comparisons between both meshes."""
     every = product(NUMBERS[scale], LAWS, AXES)
     return [ComparePressed(store, scale, number, law, view) for number, law, view in every]
 
 
 def exposures(store: str, scale: Scale) -> list[Expose]:
-    """Return the mammograms, two views of every phantom."""
+    """Return the mammograms, two views for each phantom."""
     return [Expose(store, scale, n, view) for n, view in product(NUMBERS[scale], AXES)]
 
 
 def variations(store: str, scale: Scale) -> list[Vary]:
-    """Return all values of all constants: four on the model without skin, E_skin with it."""
+    """Return all values of all constants: four on the model without skin, E_skin with skin."""
     shown: list[tuple[TargetName, str]] = [("X1", name) for name in TARGETS["X1"]]
     shown.append(("X3", "E_skin_kpa"))
     found = []

@@ -1,4 +1,4 @@
-"""Draws slices of tetrahedral meshes below each other (thesis Fig. 4.14)."""
+"""Slices of tetrahedral meshes, drawn below each other (thesis Fig. 4.14)."""
 
 from collections.abc import Sequence
 
@@ -11,11 +11,11 @@ from palpate.storage.values import BoolArray, FloatArray, Tissue
 WIDTH_PX, TITLE_PX = 980.0, 24.0
 
 MeshSlice = tuple[str, FloatArray, BoolArray]
-"""A title, polygons (m, 4, 2) in mm, to the right and upwards, and which are glandular."""
+"""A title, polygons (m, 4, 2) in mm, to the right and upwards, and a mask of glandular ones."""
 
 
 def mesh_sections(shown: Sequence[MeshSlice]) -> Svg:
-    """Draw slices at one scale; all polygons of a tissue are one element of the drawing."""
+    """Draw slices at one scale, with all polygons of a tissue in one element."""
     places = np.concatenate([polygons.reshape(-1, 2) for _, polygons, _ in shown])
     low, high = places.min(axis=0), places.max(axis=0)
     per_mm = (WIDTH_PX - 2) / float(high[0] - low[0])
@@ -43,7 +43,7 @@ def mesh_sections(shown: Sequence[MeshSlice]) -> Svg:
 
 
 def _outlines(polygons: FloatArray) -> str:
-    """Write polygons as a path, in whole tenths of pixels, from corner to corner."""
+    """Return polygons as a path of corner-to-corner steps in tenths of pixels."""
     tenths = np.rint(10 * polygons).astype(np.int64)
     steps = np.diff(tenths, axis=1)
     written = []

@@ -1,4 +1,4 @@
-"""What a chapter of the book is made of; `book.html.j2` knows nothing else."""
+"""The elements of a chapter, as used by `book.html.j2`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ Text = str | Markup
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the thesis beside ours.
+    """A table that compares the thesis with Palpate.
 
     Parameters
     ----------
@@ -20,9 +20,9 @@ class Table:
     headings : sequence of str
     rows : sequence of sequence of str
     words : sequence of int
-        Columns of text, which may break.
+        Columns of text, which may wrap.
     note : str
-        Below it.
+        Text below the table.
     """
 
     title: str
@@ -34,19 +34,19 @@ class Table:
 
 @dataclass(frozen=True)
 class Chapter:
-    """One experiment.
+    """A chapter on one experiment.
 
     Parameters
     ----------
     anchor, title, where : str
         Name of the experiment, its title, its section of the thesis.
     verdict : str
-        What came out, in one or two sentences.
+        The result, in one or two sentences.
     thesis, palpate : str
-        What each did.
+        Methods of either.
     tables, pictures : sequence
     differences : sequence of str
-        Why the numbers differ.
+        Reasons for differences between the numbers.
     costs : sequence of (str, str)
     """
 

@@ -1,7 +1,7 @@
-"""What the thesis prints: the numbers of its chapters 3 and 4, with the tables they stand in.
+"""The printed results of the thesis: the numbers of chapters 3 and 4, with their tables.
 
 M. A. Lago, "A new approach for the in-vivo characterization of the biomechanical behavior of
-the breast and the cornea", UPV 2014. Distances in voxels are of 0.2 mm.
+the breast and the cornea", UPV 2014. Distances in voxels refer to 0.2 mm.
 """
 
 from dataclasses import dataclass
@@ -82,9 +82,9 @@ class SearchTable:
     mean, sd : tuple of float
         In kPa.
     error : tuple of float
-        Mean relative error of each constant, as a part.
+        Mean relative error of each constant, as a fraction.
     note : str
-        What does not add up.
+        Inconsistencies of the table.
     """
 
     name: str
@@ -136,8 +136,8 @@ SEARCHES: dict[TargetName, SearchTable] = {
         (0.0795, 0.1282, 0.0700, 0.2008, 0.0456),
         "The printed row of phantom 2 does not give the printed statistics (its E_glandular alone "
         "would make that error 21.4 %); a row of 9049, 112862, 40280, 171031, 1643100 Pa gives "
-        "all means and deviations and four of five errors. The row and the statistics come from "
-        "two versions; the statistics are the ones compared here.",
+        "all means and deviations and four of five errors. The row and the statistics are from "
+        "two versions; the statistics are compared here.",
     ),
 }
 

@@ -1,4 +1,4 @@
-"""Says on standard error how far the experiments are: a bar on a terminal, lines elsewhere."""
+"""Progress of the experiments on standard error: a bar on a terminal, lines elsewhere."""
 
 import time
 
@@ -13,12 +13,12 @@ LINE_EVERY_S = 10.0
 
 
 class ThesisProgress:
-    """A bar for each phase or search; in a log a line now and then.
+    """A bar for each phase or search; occasional lines in a log.
 
     Parameters
     ----------
     console : rich.console.Console
-        On standard error.
+        The console of standard error.
     """
 
     def __init__(self, console: Console) -> None:
@@ -42,7 +42,7 @@ class ThesisProgress:
             self._bars.stop()
 
     def __call__(self, step: Step) -> None:
-        """Show how far it is."""
+        """Display one step."""
         self._cpu_s += step.cpu_s
         title = f"{step.experiment}: {step.title}"
         if self._bars is not None:

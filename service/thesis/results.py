@@ -1,4 +1,4 @@
-"""What the experiments have found: one record for the page, the console and `--json`."""
+"""Results of the experiments: one record for the page, the console and `--json`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ from palpate.workers.thesis.selection import Selection, select
 
 @dataclass(frozen=True)
 class Cost:
-    """Processor seconds of an experiment, those of its longest part, and where they were spent."""
+    """Processor seconds of an experiment and of its longest part, and the machine."""
 
     cpu_s: float
     longest_s: float
@@ -47,7 +47,7 @@ class Cost:
 
 @dataclass(frozen=True)
 class CoefficientsResult:
-    """Bar and cylinder."""
+    """Results for the bar and the cylinder."""
 
     bar: BarExperiment
     selection: Selection
@@ -56,7 +56,7 @@ class CoefficientsResult:
 
 @dataclass(frozen=True)
 class MeanCompression:
-    """Table 4.3 of one view and law: means over the phantoms, and how many there are."""
+    """Means over the phantoms for one view and law (Table 4.3), and their number."""
 
     view: View
     law: LawName
@@ -95,7 +95,7 @@ class MeshResult:
 
 @dataclass(frozen=True)
 class Exposed:
-    """A pair of mammograms; its pictures lie in the store."""
+    """A pair of mammograms; its pictures are in the store."""
 
     phantom: int
     view: View
@@ -111,15 +111,15 @@ class FoundConstant:
     ----------
     name, unit : str
     target, estimate : float
-        At the door.
+        In external units.
     error : float
-        Relative.
+        Relative error.
     genetic_error : float or None
-        Before the polish; None where there is none.
+        Relative error before the refinement; None without one.
     interval : tuple of float or None
-        Nine of ten such intervals are to hold the target.
+        90 % interval.
     bound : float or None
-        Relative standard deviation that the tangents allow at best (Cramér-Rao).
+        Relative standard deviation allowed by the derivatives (Cramér-Rao).
     """
 
     name: str
@@ -134,7 +134,7 @@ class FoundConstant:
 
 @dataclass(frozen=True)
 class FoundSearch:
-    """One search that has ended."""
+    """A completed search."""
 
     target: TargetName
     phantom: int
@@ -152,7 +152,7 @@ class FoundSearch:
 
 @dataclass(frozen=True)
 class SearchResult:
-    """All searches that have ended."""
+    """All completed searches."""
 
     strategy: str
     population: int
@@ -162,13 +162,13 @@ class SearchResult:
     searches: tuple[FoundSearch, ...]
 
     def of(self, target: TargetName) -> list[FoundSearch]:
-        """Return those of one target."""
+        """Return the searches for one target."""
         return [s for s in self.searches if s.target == target]
 
 
 @dataclass(frozen=True)
 class Varied:
-    """Scores over one constant; the target lies among the values."""
+    """Scores over one constant, including its target value."""
 
     target: TargetName
     constant: str
@@ -180,7 +180,7 @@ class Varied:
 
     @property
     def lowest_jc(self) -> float:
-        """Return the least overlap over the interval; nan where nothing converged."""
+        """Return the smallest overlap over the interval; nan if nothing converged."""
         return min((v for v in self.jc if v is not None), default=np.nan)
 
     @property
@@ -191,15 +191,15 @@ class Varied:
 
 @dataclass(frozen=True)
 class ThesisResults:
-    """Whatever the store holds of the experiments that were asked for; None where it is not all.
+    """Stored results of the requested experiments; None if an experiment is incomplete.
 
     Parameters
     ----------
     scale : str
     machine : str
-        That writes this.
+        The machine that writes the results.
     costs : mapping of str to Cost
-        By experiment, of the parts that the store holds.
+        By experiment, for the parts in the store.
     """
 
     scale: Scale
@@ -213,7 +213,7 @@ class ThesisResults:
 
 
 def thesis_results(request: ThesisRequest) -> ThesisResults:
-    """Read what the store and the studies hold."""
+    """Read the results from the store and the studies."""
     store, scale = str(request.store), request.scale
     whole = {e for e in request.experiments if _is_whole(e, request)}
     return ThesisResults(

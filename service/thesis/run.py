@@ -1,4 +1,4 @@
-"""Runs the experiments of the thesis, from wherever they stand."""
+"""Running the experiments of the thesis, from their current state."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ from palpate.workers.thesis.scale import Scale
 
 @dataclass(frozen=True)
 class ThesisRequest:
-    """What is asked.
+    """The requested experiments and their locations.
 
     Parameters
     ----------
     experiments : sequence of str
     scale : str
     store : Path or ObjectPath
-        Where parts go.
+        Store of the parts.
     folder : Path
-        Where studies and pages go.
+        Folder of studies and pages.
     strategy : str
-        Of the searches.
+        Strategy of the searches.
     """
 
     experiments: Sequence[Experiment]
@@ -35,7 +35,7 @@ class ThesisRequest:
 
     @property
     def searches(self) -> list[SearchRun]:
-        """Return its searches; none if they are not asked for."""
+        """Return the searches; none if they are not requested."""
         if "search" not in self.experiments:
             return []
         return search_runs(self.folder, self.scale, self.strategy)
@@ -43,19 +43,19 @@ class ThesisRequest:
 
 @dataclass(frozen=True)
 class Step:
-    """How far an experiment is.
+    """The progress of an experiment.
 
     Parameters
     ----------
     experiment : str
     title : str
-        What is being done.
+        The current activity.
     done, of : int
-        Parts of it, candidates where it is a search.
+        Numbers of parts, or of candidates for a search.
     label : str
-        The part that has just ended; empty at the beginning.
+        The part that has just ended; empty at the start.
     cpu_s : float
-        What that part has cost.
+        Cost of that part.
     """
 
     experiment: Experiment
@@ -70,7 +70,7 @@ Observe = Callable[[Step], object]
 
 
 def run_thesis(request: ThesisRequest, dispatcher: Dispatcher, observe: Observe) -> None:
-    """Run all that the store does not have.
+    """Run all parts missing in the store.
 
     Raises
     ------
@@ -79,9 +79,9 @@ def run_thesis(request: ThesisRequest, dispatcher: Dispatcher, observe: Observe)
     StoreError
         If a worker cannot use the store.
     ClusterError, TaskError
-        If the workers cannot do the work; what is finished is kept.
+        If the workers cannot do the work; completed parts are kept.
     Interrupted
-        If the dispatcher is told to stop.
+        If the dispatcher is stopped.
     """
     store = str(request.store)
     for experiment in request.experiments:

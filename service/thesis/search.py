@@ -1,4 +1,4 @@
-"""The searches of thesis section 4.5 as studies, each in a folder of its own."""
+"""The searches of thesis section 4.5 as studies, each in a separate folder."""
 
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
@@ -41,7 +41,7 @@ class SearchRun:
     phantom : int
     spec : StudySpec
     folder : Path
-        Named after the study and the code, so that newer code begins anew.
+        Named after the study and the code, so that newer code starts a new study.
     """
 
     target: TargetName
@@ -51,21 +51,21 @@ class SearchRun:
 
     @property
     def most_evaluations(self) -> int:
-        """If nothing stops it early; the elite is not evaluated again."""
+        """Return the evaluations if nothing stops it early; elites are not evaluated again."""
         return self.spec.most_evaluations
 
     @property
     def is_finished(self) -> bool:
-        """Whether it has come to its end."""
+        """Return True if the search has ended."""
         return StudyLog.read(StudyLayout(self.folder).journal).end is not None
 
     @property
     def evaluations(self) -> int:
-        """How many candidates have an ending."""
+        """Return the number of candidates with an ending."""
         return len(StudyLog.read(StudyLayout(self.folder).journal).endings)
 
     def results(self) -> StudyResults | None:
-        """Return what it has found; None if it has not ended."""
+        """Return the results; None if the search has not ended."""
         return study_results(self.folder) if self.is_finished else None
 
 
@@ -107,18 +107,18 @@ def search_runs(folder: Path, scale: Scale, strategy: str) -> list[SearchRun]:
 
 
 Counted = Callable[[SearchRun, int], object]
-"""Called with a search and how many of its candidates have an ending."""
+"""Called with a search and the number of its candidates that have ended."""
 
 
 def run_search(run: SearchRun, store: Place, dispatcher: Dispatcher, counted: Counted) -> None:
-    """Run one search to its end, or continue it; it has no page of its own."""
+    """Run or continue one search to its end, without a page."""
     study = Study(run.spec, run.folder, store, observers=[_Counter(run, counted)])
     entrance = Entrance(write_page=lambda folder, quick: None)
     run_study(study, nullcontext(Session(dispatcher)), entrance)
 
 
 def finished(runs: list[SearchRun]) -> Iterator[tuple[SearchRun, StudyResults]]:
-    """Return the searches that have ended, with what they have found."""
+    """Yield the completed searches with their results."""
     for run in runs:
         results = run.results()
         if results is not None:

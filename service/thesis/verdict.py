@@ -1,4 +1,4 @@
-"""One number of the thesis beside ours, and the word for how they compare."""
+"""Comparison of one number of the thesis with ours, and its verdict."""
 
 import math
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Literal
 from palpate.service.formatting import number
 
 Word = Literal["reproduced", "approached", "not reproduced", "cannot be", "not run"]
-# A number is reproduced within a tenth, or where less is better and it is not more; approached
+# A number is reproduced within 10 %, or if less is better and it is not larger; approached
 # within a factor of two.
 SAME, NEAR = 0.10, 2.0
 ROUNDING = 1e-9
@@ -20,13 +20,13 @@ class Verdict:
     Parameters
     ----------
     place : str
-        Where it is printed.
+        Where it is in the thesis.
     what : str
     printed, found : str
-        As a reader wants them.
+        Formatted values.
     word : str
     reason : str
-        Why it is not, or not quite, the printed one.
+        Why it differs from the printed one.
     """
 
     place: str
@@ -40,7 +40,7 @@ class Verdict:
 def equal(
     place: str, what: str, wanted: float, found: float | None, unit: str = "", why: str = ""
 ) -> Verdict:
-    """Judge a number that should be the same; None and nan are not run."""
+    """Return the verdict on a number that should be equal; None and nan are not run."""
     ratio = math.inf
     if found is not None and found > 0:
         ratio = max(found / wanted, wanted / found)
@@ -50,7 +50,7 @@ def equal(
 def at_most(
     place: str, what: str, wanted: float, found: float | None, unit: str = "", why: str = ""
 ) -> Verdict:
-    """Judge a number of which less is better; None and nan are not run."""
+    """Return the verdict on a number of which less is better; None and nan are not run."""
     ratio = math.inf if found is None else found / wanted
     return _compared(place, what, wanted, found, unit, why, ratio, 1 + ROUNDING)
 
@@ -58,7 +58,7 @@ def at_most(
 def holds(
     place: str, what: str, wanted: str, good: bool | None, found: str, why: str = ""
 ) -> Verdict:
-    """Judge a statement; None is not run."""
+    """Return the verdict on a statement; None is not run."""
     if good is None:
         return Verdict(place, what, wanted, "–", "not run")
     if good:
@@ -67,7 +67,7 @@ def holds(
 
 
 def with_unit(value: float, unit: str) -> str:
-    """Write a number of a table; a part of one as per cent."""
+    """Return a number of a table as text; a fraction as per cent."""
     if unit == "%":
         return f"{number(100 * value, 3)} %"
     return f"{number(value, 4)} {unit}".strip()

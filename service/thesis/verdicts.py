@@ -1,4 +1,4 @@
-"""Every number of the thesis' chapters 3 and 4: reproduced, approached, or why not."""
+"""Verdicts on every number of chapters 3 and 4 of the thesis."""
 
 import math
 from collections.abc import Iterator
@@ -14,18 +14,18 @@ from palpate.workers.thesis.compression import View
 from palpate.workers.thesis.identification import TARGETS
 from palpate.workers.thesis.scale import Scale
 
-NO_BOX = "the thesis prints no size, material or voxels of it"
+NO_BOX = "the thesis prints neither size, material nor voxels"
 ANOTHER_MESHER = "another mesher"
-REDUCED_BODY = "a compartment is a larger part of the reduced body, and is moved less far"
-HELD_NODES = "which nodes are held at the fixed plate decides it, and is not printed"
-# Bodies in 250 ml.
+REDUCED_BODY = "a compartment is a larger part of the reduced body, and is displaced less"
+HELD_NODES = "it depends on the nodes held at the fixed plate, which are not printed"
+# Number of bodies in 250 ml.
 VOLUMES: dict[Scale, float] = {"sketch": 8.0, "reduced": 8.0, "full": 1.0}
 
 
 def verdicts(results: ThesisResults) -> list[Verdict]:
-    """Judge every number of chapters 3 and 4 in the order of the thesis.
+    """Return the verdict on every number of chapters 3 and 4, in the order of the thesis.
 
-    What cannot be compared is said where its experiment was run.
+    Numbers that cannot be compared are included if their experiment was run.
     """
     whole = results.meshes is not None and results.search is not None
     parts = (
@@ -50,7 +50,7 @@ def _coefficients(results: ThesisResults) -> Iterator[Verdict]:
         yield holds("3.3.2, Fig. 3.5", what, "in order", good, word, NO_BOX)
     for name, title in (("dV", "volume difference"), ("SM", "signed mean")):
         good = None if monotone is None else not monotone[name]
-        what, word = f"{title} does not tell good from bad", "rejected" if good else "in order too"
+        what, word = f"{title} does not rank deformations", "rejected" if good else "in order too"
         yield holds("3.3.2", what, "rejected", good, word, NO_BOX)
     kept = None if found is None else "D22" in found.selection.kept
     what, word = "D22 ranks deformations 5 to 7 behind 1 to 4", "kept" if kept else "rejected"
@@ -102,7 +102,7 @@ def _compression(results: ThesisResults) -> Iterator[Verdict]:
     why = HELD_NODES if results.scale == "full" else f"{REDUCED_BODY}; and {HELD_NODES}"
     for view, wanted in printed.TABLE_43.items():
         yield from _compared(view, "Table 4.3", wanted, means.get((view, "neo-Hookean")), why)
-    law = f"its constants are not printed (the same shear moduli are taken); {why}"
+    law = f"its constants are not printed (the same shear moduli are used); {why}"
     for view, wanted in printed.MOONEY_RIVLIN.items():
         yield from _compared(
             f"Mooney-Rivlin, {view}", "4.4.4", wanted, means.get((view, "Mooney-Rivlin")), law
@@ -114,14 +114,14 @@ def _compression(results: ThesisResults) -> Iterator[Verdict]:
     for kind, seconds in printed.SECONDS_PER_1000.items():
         what = f"seconds per 1000 elements, CC, {kind}"
         yield at_most("Fig. 4.16", what, seconds, times.get(kind), "s")
-    contradiction = "they do not fit the printed seconds: 23 s × 900 are 5.75 h, not 7"
+    contradiction = "inconsistent with the printed seconds: 23 s × 900 are 5.75 h, not 7"
     yield _figure("4.4.4", "hours of a compression (7, 2, 2, 1.45)", "2 to 7 h", contradiction)
 
 
 def _compared(
     case: View | str, place: str, wanted: printed.Compared, mean: MeanCompression | None, why: str
 ) -> Iterator[Verdict]:
-    """Judge a row of Table 4.3; a Jaccard coefficient by what it lacks of one."""
+    """Yield the verdicts on a row of Table 4.3; for a Jaccard coefficient on 1 - JC."""
     centroid, volume, jc, mhd = (None,) * 4
     if mean is not None:
         centroid, volume, jc, mhd = mean.centroid_mm, mean.volume_mm3, mean.jc, mean.mhd_mm
@@ -151,8 +151,8 @@ def _mammogram(results: ThesisResults) -> Iterator[Verdict]:
 def _search(results: ThesisResults) -> Iterator[Verdict]:
     search = results.search
     weak = (
-        "the deformed shape hardly depends on it, as the thesis' own Fig. 4.22 says; an estimate "
-        "of a flat valley is where the search happened to stop"
+        "the deformed shape hardly depends on it, as the thesis' Fig. 4.22 shows; the estimate "
+        "in a flat valley is where the search happened to stop"
     )
     few = "the reduced search has fewer candidates, larger voxels and a coarser mesh"
     few = few if results.scale != "full" else ""
@@ -176,7 +176,7 @@ def _search(results: ThesisResults) -> Iterator[Verdict]:
 
 
 def _hours(results: ThesisResults) -> Verdict:
-    """Judge the time of a search, where the problem has the thesis' size."""
+    """Return the verdict on the time of a search, if the problem has the thesis' size."""
     search, wanted = results.search, printed.HOURS * printed.CORES
     hours = fmean(s.cpu_s for s in search.searches) / 3600 if search and search.searches else None
     place, what = "4.5.6", "core hours of a search"
@@ -188,7 +188,7 @@ def _hours(results: ThesisResults) -> Verdict:
 
 
 def _mean_errors(found: list[FoundSearch], column: int) -> tuple[float | None, float | None]:
-    """Return the mean error of the genetic part, None without a polish, and that of the end."""
+    """Return the mean errors of the genetic stage (None without refinement) and at the end."""
     if not found:
         return None, None
     constants = [s.constants[column] for s in found]
@@ -200,7 +200,7 @@ def _sensitivity(results: ThesisResults) -> Iterator[Verdict]:
     varied = results.sensitivity or ()
     one = next((v for v in varied if v.constant == "eta_glandular_kpa"), None)
     lowest, most = (one.lowest_jc, one.most_mhd_voxels) if one else (None, None)
-    why = "the body, its density and its voxels decide it" if results.scale != "full" else ""
+    why = "it depends on the body, its density and its voxels" if results.scale != "full" else ""
     place, what = "Fig. 4.22", "over all of eta_glandular"
     good = None if lowest is None else lowest > printed.LOWEST_JC
     found = f"≥ {number(lowest, 3)}"
@@ -211,12 +211,12 @@ def _sensitivity(results: ThesisResults) -> Iterator[Verdict]:
 
 
 def _figure(place: str, what: str, printed_there: str, why: str) -> Verdict:
-    """Name what cannot be compared, and is shown on the page."""
+    """Return a verdict for numbers that are shown on the page but cannot be compared."""
     return Verdict(place, what, printed_there, "see the page", "cannot be", why)
 
 
 def _beyond(results: ThesisResults) -> Iterator[Verdict]:
-    """Name what no run can settle."""
+    """Yield verdicts on numbers that no run can decide."""
     rows = (
         (
             "4.4.3",
@@ -244,7 +244,7 @@ def _beyond(results: ThesisResults) -> Iterator[Verdict]:
             "seeds and operators of the genetic algorithm",
             "not printed",
             "those of MATLAB's ga",
-            "so no estimate of a single phantom can come out the same",
+            "so estimates of a single phantom cannot be reproduced exactly",
         ),
     )
     for place, what, printed_there, found, why in rows:

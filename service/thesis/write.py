@@ -1,4 +1,4 @@
-"""Writes what the experiments have found: the page, the record, the mammograms as files."""
+"""Output of the results: the page, the record, the mammograms as files."""
 
 import json
 from io import BytesIO
@@ -24,7 +24,7 @@ def write_all(results: ThesisResults, request: ThesisRequest, name: str) -> Path
     results : ThesisResults
     request : ThesisRequest
     name : str
-        Of page and record, without ending; the scale is added but for the reduced one.
+        Name of page and record, without suffix; a scale other than reduced is appended.
 
     Returns
     -------

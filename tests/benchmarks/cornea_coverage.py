@@ -2,11 +2,11 @@
 
     python -m tests.benchmarks.cornea_coverage OUT [--eyes 0 1 2 ...] [--kinds clean frames ...]
 
-Eyes of Table 5.2 of the thesis, with their IOP, pachymetry and constants, are deformed on a mesh
-that is finer than that of the studies. The deformed section is the target as it is, or both
-sections are drawn as frames and segmented; the eye may move between the frames, or the target be
-scaled. One study of each is run in this process. OUT receives `coverage.md` and `coverage.json`;
-studies that it holds already are read, not run again.
+Eyes of Table 5.2 of the thesis, with their IOP, pachymetry and constants, are deformed on a finer
+mesh than that of the studies. The target is the deformed section, or both sections are drawn as
+frames and segmented; the eye may move between the frames, or the target may be scaled. One study
+of each is run in this process. OUT receives `coverage.md` and `coverage.json`; studies already in
+it are read, not run again.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-# One thread, for whatever library starts threads; read when it is loaded.
+# One thread for every library; read when it is loaded.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[name] = "1"
 
@@ -53,18 +53,18 @@ SEARCHED = {
 
 @dataclass(frozen=True)
 class Kind:
-    """How a target is made.
+    """A way to make targets.
 
     Parameters
     ----------
     frames : bool
         Whether both sections are drawn as frames and segmented.
     shift_mm, tilt_deg : float
-        Of the whole eye, outwards and counter-clockwise, before the second frame.
+        Motion of the whole eye, outwards and counter-clockwise, before the second frame.
     scale : float
-        Of the second frame.
+        Scale of the second frame.
     iop_mmhg : float
-        That the study states too much.
+        Excess of the IOP stated in the study.
     """
 
     frames: bool = True
@@ -100,12 +100,12 @@ class Interval:
 
     @property
     def holds(self) -> bool:
-        """Return whether the interval contains the truth."""
+        """Return True if the interval covers the truth."""
         return self.lower is not None and self.lower <= self.truth <= (self.upper or 0.0)
 
 
 def constants_of(eye: CohortEye) -> dict[str, float]:
-    """Return the constants of an eye as a study file states them."""
+    """Return the constants of an eye as in a study file."""
     one = eye.constants
     names = ("mu1_pa", "alpha1", "mu2_pa", "alpha2")
     return dict(zip(names, (one.mu1_pa, one.alpha1, one.mu2_pa, one.alpha2), strict=True))
@@ -135,7 +135,7 @@ def sections_of(eye: CohortEye) -> tuple[Section, Section]:
 
 
 def frame_specs(eye: CohortEye, kind: Kind, folder: Path) -> list[dict[str, Any]]:
-    """Draw both sections as frames, and return what a study file says of them."""
+    """Draw both sections as frames, and return their keys in a study file."""
     rest, jet = sections_of(eye)
     top = float(rest.anterior_mm[:, 1].max())
     place = RigidMotion((SHAPE[1] * PIXEL_MM[0] / 2, -top - 0.6))
@@ -175,7 +175,7 @@ def study_of(name: str, number: int, kind: Kind, folder: Path) -> StudySpec:
 
 
 def intervals_of(kind_name: str, number: int, out: Path) -> list[Interval]:
-    """Run one study, unless it is there, and return its intervals."""
+    """Run one study unless it exists, and return its intervals."""
     name = f"{kind_name.replace(' ', '-').replace('%', 'percent')}-{number}"
     folder = out / name
     if not (folder / "study").exists() or study_results(folder / "study").state != "stopped":

@@ -1,13 +1,13 @@
-"""How long CalculiX takes for what our solver does: same mesh, same physics, one thread.
+"""Run time of CalculiX compared with our solver: same mesh, same physics, one thread.
 
     python -m tests.benchmarks.independent [NODES ...]
 
-A breast of fat and gland, neo-Hookean, is pressed from 100 to 75 mm. We solve it
-with plates and from rest. CalculiX is told where the plates hold each node that
-they touch, and so has no contact to find: what it takes is a lower bound. Both
-solve plain linear tetrahedra, side by side and in turn, and the fastest of three
-counts. CalculiX's time contains starting it and reading its deck; ours contains no
-preparation of the mesh, which a search makes once for all its candidates.
+A breast of fat and gland, neo-Hookean, is pressed from 100 to 75 mm. We solve it with plates
+and from rest. CalculiX gets the final positions of the nodes that touch the plates, and so
+has no contact to find: its time is a lower bound. Both solve plain linear tetrahedra in
+alternation, and the fastest of three runs counts. CalculiX's time includes its start and
+reading the deck; ours excludes the preparation of the mesh, which a search does once for all
+candidates.
 """
 
 import json
@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-# One thread, for whatever library starts threads; read when it is loaded.
+# One thread for every library; read when it is loaded.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[name] = "1"
 ROOMS = Path(__file__).parents[1]
@@ -42,13 +42,13 @@ FAT, GLAND = Constants(0.010), Constants(0.040)
 LOWER_MM, UPPER_MM = -37.5, 37.5
 REPEATS = 3
 WARM_NODES = 1000  # a first, untimed solve loads the compiled kernels
-# Half of the load at once and its own tolerances: the fastest that CalculiX was seen to be.
+# Half of the load at once and its own tolerances: the fastest settings found for CalculiX.
 FASTEST: dict[str, Any] = {"first_increment": 0.5, "tight": False}
 
 
 @dataclass(frozen=True)
 class Row:
-    """One size: seconds of each solver, and how far their answers are apart."""
+    """One size: run time of each solver, and the difference between their solutions."""
 
     nodes: int
     tets: int
@@ -71,7 +71,7 @@ class Case:
         self.model: Model = prepare(hierarchy)
 
     def ours(self, *, plain: bool = True) -> Solution:
-        """Pressed by plates; `plain` elements lock, the default ones do not."""
+        """Solve the body under plates; `plain` elements lock, the default ones do not."""
         problem = Problem(
             {Tissue.FAT: FAT, Tissue.GLANDULAR: GLAND},
             DistanceControl(LOWER_MM, UPPER_MM),
@@ -84,7 +84,7 @@ class Case:
         return solution
 
     def body(self, moved_mm: np.ndarray) -> Body:
-        """The same for CalculiX: the nodes that end inside a plate are led to their place."""
+        """Return the model for CalculiX, with contact nodes moved to their final positions."""
         mesh, wall = self.level.mesh, self.level.wall
         y = mesh.nodes[:, 1] + moved_mm[:, 1]
         free = np.unique(self.level.surface)
@@ -99,14 +99,14 @@ class Case:
 
 
 def ccx_seconds(nodes: int, repeats: int = 1) -> float:
-    """Seconds of the fastest of some runs of CalculiX at about so many nodes."""
+    """Return the fastest run time of CalculiX at about the given number of nodes."""
     case = Case(nodes)
     body = case.body(case.ours().displacement_mm)
     return min(calculix(body, **FASTEST).seconds for _ in range(repeats))
 
 
 def compare(nodes: int, repeats: int = REPEATS) -> Row:
-    """Both solvers in turn, at about so many nodes.
+    """Run both solvers in turn, at about the given number of nodes.
 
     Raises
     ------
@@ -140,7 +140,7 @@ def compare(nodes: int, repeats: int = REPEATS) -> Row:
 
 
 def main(*sizes: str) -> None:
-    """Print a table, and the same as one line of JSON."""
+    """Print a table, then the same data as one line of JSON."""
     if not available():
         raise SystemExit("CalculiX is not installed (Debian: apt install calculix-ccx).")
     rows = [compare(int(size)) for size in sizes or ("5000",)]

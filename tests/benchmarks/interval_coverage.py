@@ -1,12 +1,12 @@
-"""Coverage of the 90 % intervals that are shown as quotable, over simulated studies.
+"""Coverage of the 90 % intervals reported as quotable, over simulated studies.
 
     python -m tests.benchmarks.interval_coverage OUT [--seeds 1 2 3] [--kinds clean shift-4 ...]
 
-A breast of known constants is compressed on a mesh that is finer than those of the studies. Its
-label volume is the target as it is, or is shifted, turned, scaled or mirrored; or the body is
-compressed by another law, with friction, or with another force than the study states. One
-least-squares study of each is run in this process. OUT receives `coverage.md` and
-`coverage.json`; studies that it holds already are read, not run again.
+A breast of known constants is compressed on a finer mesh than those of the studies. Its label
+volume is the target, or is shifted, turned, scaled or mirrored first; or the body is compressed
+with another law, with friction, or with another force than the study states. One least-squares
+study of each is run in this process. OUT receives `coverage.md` and `coverage.json`; studies
+already in it are read, not run again.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-# One thread, for whatever library starts threads; read when it is loaded.
+# One thread for every library; read when it is loaded.
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[name] = "1"
 
@@ -50,24 +50,24 @@ LEVEL = 0.9
 
 @dataclass(frozen=True)
 class Kind:
-    """How a target is made.
+    """A way to make targets.
 
     Parameters
     ----------
     target : mapping
-        Parameters of the model with which it is compressed, beside the constants.
+        Parameters of the model for its compression, other than the constants.
     model : mapping
-        Settings of the law with which it is compressed.
+        Settings of the law for its compression.
     force : float
-        The force that compresses it over the one that the study states.
+        Ratio of the compressing force to the one stated in the study.
     shift_mm, turn_deg : tuple of float
-        Along and about x, y and z, of its labels.
+        Shift along and rotation about x, y and z of its labels.
     scale : float
-        Of its labels.
+        Scale of its labels.
     mirrored : bool
         Whether its labels are upside down.
     imaged : bool
-        Whether the study takes it for an image.
+        Whether the study treats it as an image.
     """
 
     target: Mapping[str, float] = field(default_factory=dict)
@@ -114,7 +114,7 @@ class Interval:
 
     @property
     def holds(self) -> bool:
-        """Return whether the interval contains the truth."""
+        """Return True if the interval covers the truth."""
         shown = self.lower is not None and self.upper is not None
         return shown and self.lower <= self.truth <= self.upper  # type: ignore[operator]
 
@@ -132,7 +132,7 @@ def true_constants(seed: int) -> dict[str, float]:
 
 
 def case_of(seed: int, nodes: int, kind: Kind | None = None) -> dict[str, Any]:
-    """Return the case of a study, or that with which the target of a kind is made."""
+    """Return the case of a study, or of the target of a given kind."""
     phantom = {"preset": "250ml", "spacing_mm": SPACING_MM, "seed": seed}
     fraction = 0.15 + 0.05 * (seed % 3)
     return {
@@ -146,7 +146,7 @@ def case_of(seed: int, nodes: int, kind: Kind | None = None) -> dict[str, Any]:
 
 
 def target_labels(seed: int, kind: Kind, store: Path) -> Volume:
-    """Compress a body and return its labels as the study's image shows them."""
+    """Compress a body and return its labels as in the study's image."""
     case = case_of(seed, TARGET_NODES, kind)
     case["constants"] |= true_constants(seed) | dict(kind.target)
     made = simulate_once(case, {}, str(store))
@@ -157,7 +157,7 @@ def target_labels(seed: int, kind: Kind, store: Path) -> Volume:
 
 
 def moved(labels: Volume, kind: Kind) -> Volume:
-    """Return labels that are mirrored, turned and scaled about their middle, then shifted."""
+    """Return labels mirrored, turned and scaled about their middle, then shifted."""
     values = labels.values[::-1] if kind.mirrored else labels.values
     spacing = np.asarray(labels.spacing_mm)
     count = np.asarray(values.shape[::-1])
@@ -183,7 +183,7 @@ def moved(labels: Volume, kind: Kind) -> Volume:
 
 
 def study_of(name: str, seed: int, kind: Kind, folder: Path) -> StudySpec:
-    """Return the study of one target, which is made if it is an image."""
+    """Return the study of one target; an image is created for it."""
     case = case_of(seed, NODES)
     target: dict[str, Any]
     if kind.imaged:
@@ -208,7 +208,7 @@ def study_of(name: str, seed: int, kind: Kind, folder: Path) -> StudySpec:
 
 
 def intervals_of(kind_name: str, seed: int, out: Path) -> list[Interval]:
-    """Run one study, unless it is there, and return its intervals."""
+    """Run one study unless it exists, and return its intervals."""
     name = f"{kind_name.replace(' ', '-').replace('%', 'percent')}-{seed}"
     folder = out / name
     if not _has_ended(folder / "study"):

@@ -1,4 +1,4 @@
-"""The harness that measures how often quotable intervals contain the truth."""
+"""The benchmark of the coverage of quotable intervals."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ FAT = int(Tissue.FAT)
 
 
 def bar() -> Volume:
-    """Return a bar of 12 x 4 x 2 mm whose middle is the origin."""
+    """Return a bar of 12 x 4 x 2 mm centred on the origin."""
     values = np.full((1, 2, 6), FAT, np.uint8)
     return Volume(values, (2.0, 2.0, 2.0), (-5.0, -1.0, 0.0))
 
@@ -43,7 +43,7 @@ def test_coverage_counts_quotable_intervals_only() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_quotable_intervals_of_two_studies_contain_the_truth(tmp_path: Path) -> None:
+def test_quotable_intervals_of_two_studies_cover_the_truth(tmp_path: Path) -> None:
     clean = intervals_of("clean", 1, tmp_path)
     shifted = intervals_of("shift 4 mm along x", 1, tmp_path)
     quotable = [one for one in clean if one.quotable]

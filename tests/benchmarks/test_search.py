@@ -1,4 +1,4 @@
-"""What the search itself costs: nothing beside one simulation."""
+"""The cost of the search itself, which is negligible compared with one simulation."""
 
 import sys
 import time
@@ -14,7 +14,7 @@ SPACE = Space.from_bounds({f"E_{index}_kpa": (5, 80) for index in range(5)})
 
 
 @pytest.mark.slow
-def test_a_search_of_the_thesis_costs_less_than_one_simulation(
+def test_thesis_search_costs_less_than_one_simulation(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     search = GeneticSearch(SPACE, GeneticSettings(stall=None), seed=1)

@@ -1,10 +1,10 @@
-"""Records what the parts of the thesis' experiments cost here, for the estimates that are shipped.
+"""Recording of the run times of the thesis' parts, for the estimates shipped with Palpate.
 
-    python -m tests.benchmarks.thesis_seconds STORE FOLDER            from a store that is complete
-    python -m tests.benchmarks.thesis_seconds STORE FOLDER --one      one part of each kind, anew
+    python -m tests.benchmarks.thesis_seconds STORE FOLDER            from a complete store
+    python -m tests.benchmarks.thesis_seconds STORE FOLDER --one      one new part of each kind
 
-The second runs, at the reduced scale and without a cluster, one part of each kind and one
-search of each target.
+The second form runs, at the reduced scale and without a cluster, one part of each kind and
+one search for each target.
 """
 
 import argparse
@@ -24,7 +24,7 @@ PHANTOM = 6
 
 
 def run_one_of_each(request: ThesisRequest, searches: bool) -> None:
-    """Run one part of each kind, of a phantom in the middle."""
+    """Run one part of each kind, for a phantom in the middle."""
     ran: set[str] = set()
     for experiment in EXPERIMENTS:
         phases = phases_of(experiment, str(request.store), request.scale)
@@ -52,7 +52,7 @@ def run_one_of_each(request: ThesisRequest, searches: bool) -> None:
 
 
 def main() -> None:
-    """Record a store, or run one part of each kind first."""
+    """Record the times of a store, or run one part of each kind first."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("store", type=Path)
     parser.add_argument("folder", type=Path)

@@ -98,7 +98,10 @@ def test_the_cause_of_an_error_counts_too() -> None:
 def test_other_errors_of_workers_keep_their_words() -> None:
     for error in (ModuleNotFoundError("No module named 'pandas'"), ValueError("workers")):
         raise_if_foreign(error)
-    with pytest.raises(ClusterError, match="scheduler cannot be reached"), as_cluster_error():
+    with (
+        pytest.raises(ClusterError, match="scheduler can no longer be reached"),
+        as_cluster_error(),
+    ):
         raise OSError("connection refused")
 
 

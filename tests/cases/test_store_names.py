@@ -63,7 +63,7 @@ def test_rm_refuses_what_a_study_needs_unless_it_is_forced(
     run(folder, Inline(), small_spec(text))
     assert main(["store", "rm", "other", "patient"]) == 2
     said = capsys.readouterr().err
-    assert "Studies need what is to be removed: patient by runs/demo." in said
+    assert "Studies need these volumes: patient by runs/demo." in said
     assert "Nothing was removed" in said and "--force" in said
     assert named_volumes(store) == {"patient": ["aaaa"], "other": ["bbbb"]}
     assert main(["store", "rm", "patient", "--force"]) == 0

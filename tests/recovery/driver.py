@@ -1,4 +1,4 @@
-"""A driver in a process of its own: FOLDER, --scheduler ADDRESS or --workers N, [STORE]."""
+"""A driver in a separate process: FOLDER, --scheduler ADDRESS or --workers N, [STORE]."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Processes that the tests start, and kill on purpose."""
+"""Processes that the tests start and kill."""
 
 import os
 import socket
@@ -17,9 +17,9 @@ ROOT = HERE.parents[1]
 
 
 def kill_and_finish(folder: Path, where: list[str], killed_after: list[int]) -> None:
-    """Kill a driver with signal 9 once the journal holds so many endings; let the last one end.
+    """Kill a driver with signal 9 at given numbers of endings, and let the last one finish.
 
-    Evaluations take 0.1 s, and none is finished beyond eight more than so many.
+    Evaluations take 0.1 s, and at most eight more than the given number are finished.
     """
     command = [sys.executable, str(HERE / "driver.py"), str(folder), *where]
     store = folder.parent / "store"
@@ -41,7 +41,7 @@ def kill_and_finish(folder: Path, where: list[str], killed_after: list[int]) -> 
 def plain_cluster(
     folder: Path, workers: int, tls: Mapping[str, str] | None = None
 ) -> Iterator[str]:
-    """`dask scheduler` and `dask worker`, each a process of its own; its address.
+    """Run `dask scheduler` and `dask worker` as separate processes, and yield the address.
 
     With the environment `tls` they are encrypted.
     """

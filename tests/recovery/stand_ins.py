@@ -1,13 +1,13 @@
-"""Tasks with the manners of the real ones and an arithmetic that takes no time.
+"""Fast stand-ins for the real tasks, with the same contract.
 
-They keep the contract of `workers.tasks.evaluation`: idempotent, the record in the store
-last, divergence an ordinary ending, everything a function of the request. Each
-execution leaves one line in `LOG`, written when the evaluation is finished.
+They keep the contract of `workers.tasks.evaluation`: idempotent, the record stored last,
+divergence an ordinary ending, everything a function of the request. Each execution adds one
+line to `LOG` when the evaluation is finished.
 
-A file `MANNERS` in the store makes them slow, or makes them crash or die where
-the first gene is above a bound. With `held_after` no more than so many of the store are
-finished until it says otherwise (and one for each worker, where several count at once): what
-happens meanwhile happens in the middle of a study, however slow the machine is.
+A file `MANNERS` in the store makes them slow, or makes them crash or die if the first gene is
+above a bound. With `held_after`, at most that many evaluations of the store are finished until
+it is changed (plus one for each worker, if several count at the same time), so later actions of a
+test happen in the middle of a study, however slow the machine is.
 """
 
 import json
@@ -81,9 +81,9 @@ def level(
 
 
 def fit_of(constants: Record, free: Sequence[Record]) -> Record:
-    """Residuals c / true - 1 of each constant, twenty of each, with a noise of 0.01.
+    """Return residuals c / true - 1 of each constant, twenty of each, with a noise of 0.01.
 
-    Nuisance parameters, which no candidate holds, change nothing.
+    Nuisance parameters, which no candidate has, change nothing.
     """
     names = [p["name"] for p in free]
     constants = {name: TRUTH.get(name, 0.1) for name in names} | dict(constants)
@@ -126,7 +126,7 @@ def evaluate(request: Record) -> Record:
 
 
 def note(store: Store, log: str, name: str) -> None:
-    """Add a line to a log, or an object to a folder of that name, as many processes do."""
+    """Add a line to a log, or an object to a folder of that name, safely for many processes."""
     if isinstance(store.root, Path):
         with (store.root / log).open("a") as file:  # one write
             file.write(name + "\n")
@@ -179,7 +179,7 @@ TASKS = Tasks(prepare, target, evaluate, name_of, keep_volume, compare, level)
 
 
 class Inline:
-    """A dispatcher without a cluster: one task after the other, in this process."""
+    """A dispatcher without a cluster that runs one task after the other in this process."""
 
     threads = 1
 
@@ -197,12 +197,12 @@ class Inline:
 
 
 def run(folder: Path, dispatcher: Any, spec: StudySpec | None = None, **more: Any) -> Conclusion:
-    """Run a study in `folder`, its store beside it."""
+    """Run a study in `folder`, with its store next to it."""
     return Study(spec or small_spec(), folder, tasks=TASKS, **more).run(dispatcher)
 
 
 def told(folder: Path) -> dict[int, tuple[Any, ...]]:
-    """What the journal says of each candidate, to the last bit; not who computed it when."""
+    """Return the journal's content for each candidate, bit-exact, without workers and times."""
     endings = StudyLog.read(StudyLayout(folder).journal).endings
     return {
         c: (dict(r.genes), r.generation, r.digest, r.status, r.score, r.reason)
@@ -211,18 +211,18 @@ def told(folder: Path) -> dict[int, tuple[Any, ...]]:
 
 
 def rewrite(journal: Path, records: Iterable[Record]) -> None:
-    """Write a journal anew, with right checksums: what a forger would do, not a failing disk."""
+    """Rewrite a journal with correct checksums, as a forger would, unlike a failing disk."""
     lines = [{k: v for k, v in record.items() if k != KEY} for record in records]
     journal.write_text("".join(seal(dumps(line)) + "\n" for line in lines))
 
 
 def executions(folder: Path) -> list[str]:
-    """Digests of finished evaluations, once for each time they were computed."""
+    """Return the digests of finished evaluations, once for each time they were computed."""
     return executed(folder.parent / "store")
 
 
 def executed(location: Location) -> list[str]:
-    """The same of a store, in a folder or a bucket."""
+    """Return the executions recorded in a store, in a folder or a bucket."""
     store = open_store(location, create=False)
     log = store.root / LOG
     if isinstance(log, Path):
@@ -231,14 +231,14 @@ def executed(location: Location) -> list[str]:
 
 
 def assert_each_ran_once(folder: Path, cut_off: int = 0) -> None:
-    """No evaluation was computed twice, and each that the journal names was computed.
+    """Check that no evaluation was computed twice, and that each in the journal was computed.
 
-    `cut_off`: how many workers were killed by signal; each may have died after its record
-    was in the store and before its line was in the log.
+    `cut_off`: number of workers killed by signal; each may have died after its record was
+    stored and before its line was logged.
     """
     ran = executions(folder)
     assert len(ran) == len(set(ran))
     finished = {ending[2] for ending in told(folder).values()}
-    # Of the best candidate: its tangents, those by the nuisances, and on another mesh.
+    # For the best candidate: with derivatives, with nuisances, and on another mesh.
     assert len(set(ran) - finished) <= 3
     assert len(finished - set(ran)) <= cut_off

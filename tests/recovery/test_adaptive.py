@@ -1,4 +1,4 @@
-"""A cluster whose workers follow the work: more under load, fewer when idle, the same journal."""
+"""Adaptive clusters: more workers under load, fewer when idle, the same journal."""
 
 import threading
 import time
@@ -34,7 +34,7 @@ def until(reached: Callable[[], bool], what: str) -> None:
 
 @contextmanager
 def running(folder: Path, client: Any) -> Iterator[None]:
-    """A study that runs meanwhile; it has ended afterwards."""
+    """Run a study in the background, and wait for its end."""
     failed: list[BaseException] = []
 
     def study() -> None:
@@ -61,7 +61,7 @@ def assert_as_calm(folder: Path, calm: Path) -> None:
 
 
 @pytest.mark.slow
-def test_workers_come_with_the_work_and_go_when_it_is_done(tmp_path: Path) -> None:
+def test_workers_follow_the_work(tmp_path: Path) -> None:
     calm, folder = tmp_path / "calm" / "demo", tmp_path / "runs" / "demo"
     run(calm, Inline())
     set_manners(folder.parent / "store", held_after=3)
@@ -71,14 +71,14 @@ def test_workers_come_with_the_work_and_go_when_it_is_done(tmp_path: Path) -> No
         with running(folder, client):
             until(lambda: len(client.nthreads()) == 3, "three workers under load")
             until(lambda: all(w.processing for w in workers_of(local)), "all of them busy")
-            # One is retired while it computes; another may come, for there is work for three.
+            # One is retired while it computes; another may start, as there is work for three.
             retired = max(workers_of(local), key=lambda worker: worker.name)
             local.sync(local._adaptive.scale_down, [retired.name])
             assert retired.address not in [worker.address for worker in workers_of(local)]
             assert len(told(folder)) < 52
         assert told(folder) == told(calm)
         endings = StudyLog.read(StudyLayout(folder).journal).endings.values()
-        assert {record.attempts for record in endings} == {1}  # nobody counts as lost
+        assert {record.attempts for record in endings} == {1}  # none counts as lost
         assert_each_ran_once(folder)
         until(lambda: len(client.nthreads()) == 1, "one worker when idle")
         time.sleep(0.5)
@@ -86,5 +86,5 @@ def test_workers_come_with_the_work_and_go_when_it_is_done(tmp_path: Path) -> No
 
 
 def workers_of(local: Any) -> list[Any]:
-    """Return what the scheduler knows of its workers."""
+    """Return the scheduler's workers."""
     return list(local.scheduler.workers.values())

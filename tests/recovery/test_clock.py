@@ -1,4 +1,4 @@
-"""A clock that jumps, back or forth, changes nothing but the dates that a journal shows."""
+"""Clock jumps, which change only the dates in a journal."""
 
 from collections.abc import Callable, Iterable, Iterator
 from datetime import UTC, datetime, timedelta, tzinfo
@@ -17,7 +17,7 @@ YEAR = timedelta(days=365)
 
 
 class StoppedAfter(Inline):
-    """Is interrupted after so many evaluations."""
+    """A runner that is interrupted after a number of evaluations."""
 
     def __init__(self, evaluations: int) -> None:
         self.left = evaluations
@@ -42,7 +42,7 @@ def set_clock(monkeypatch: pytest.MonkeyPatch, moment: datetime) -> None:
 
 
 @pytest.mark.parametrize("jumps", [(YEAR, -YEAR), (-10 * YEAR, 10 * YEAR)])
-def test_a_study_resumes_whatever_the_clock_says(
+def test_study_resumes_after_clock_jumps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jumps: tuple[timedelta, ...]
 ) -> None:
     calm, folder = tmp_path / "calm" / "demo", tmp_path / "runs" / "demo"

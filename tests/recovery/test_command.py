@@ -1,4 +1,4 @@
-"""`palpate run` as a user types it: real physics, real processes, interrupted and continued."""
+"""`palpate run` as typed by a user: real physics, real processes, interrupted and continued."""
 
 import json
 import os
@@ -45,7 +45,7 @@ def palpate(place: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def interrupt_and_continue(place: Path) -> None:
-    """Run it with workers of its own, stopped by Ctrl-C on the way."""
+    """Run it with separate workers, interrupted by Ctrl-C, and continue."""
     options = ["run", "small.yaml", "--study", "again/small", "--workers", "2"]
     started = subprocess.Popen(
         [*PALPATE, *options],
@@ -55,10 +55,10 @@ def interrupt_and_continue(place: Path) -> None:
         text=True,
         start_new_session=True,
     )
-    while not told(place / "again" / "small"):  # soon, for six evaluations are quickly done
+    while not told(place / "again" / "small"):  # poll often: six evaluations are quickly done
         assert started.poll() is None, started.communicate()
         time.sleep(0.05)
-    os.killpg(started.pid, signal.SIGINT)  # as a terminal does: to the workers, too
+    os.killpg(started.pid, signal.SIGINT)  # as a terminal does, including the workers
     _, err = started.communicate(timeout=30)
     assert started.returncode == 130
     assert "To continue: palpate run small.yaml --study again/small" in err
@@ -79,7 +79,7 @@ def run_to_the_end(place: Path, *command: str) -> None:
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_agrees_with_one_in_a_single_process(place: Path) -> None:
+def test_interrupted_run_matches_a_single_process(place: Path) -> None:
     interrupt_and_continue(place)
     study = Study(read_spec(place / "small.yaml"), place / "runs" / "small")
     study.run(SingleProcess())
@@ -87,7 +87,7 @@ def test_an_interrupted_run_agrees_with_one_in_a_single_process(place: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_run_on_an_existing_scheduler_and_one_interrupted_here_agree(place: Path) -> None:
+def test_run_on_a_scheduler_matches_an_interrupted_local_run(place: Path) -> None:
     with plain_cluster(place, workers=2) as address:
         run_to_the_end(place, "run", "small.yaml", "--scheduler", address)
     assert (place / "runs" / "store" / "volumes").is_dir()

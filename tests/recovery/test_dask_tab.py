@@ -1,4 +1,4 @@
-"""The tab of Palpate on the dashboard of Dask's scheduler."""
+"""Palpate's tab in Dask's dashboard."""
 
 import asyncio
 import time
@@ -49,7 +49,7 @@ def html_of(url: str) -> str:
 
 
 def sources_of(url: str) -> dict[str, dict[str, Any]]:
-    """Return the data that a browser gets, by the name of the source."""
+    """Return the data sent to a browser, by the name of the source."""
     session = pull_session(url=url)
     try:
         names = "studies", "diagnoses", "barrier", "stages"
@@ -59,7 +59,7 @@ def sources_of(url: str) -> dict[str, dict[str, Any]]:
 
 
 def sources_at_the_end(url: str, reason: str) -> dict[str, dict[str, Any]]:
-    """The same once the last record has come, which nobody waits for."""
+    """Return the sources after the last record, which is sent in the background."""
     end = time.monotonic() + DEADLINE_S
     while (sources := sources_of(url))["studies"]["state"] != [reason]:
         if time.monotonic() > end:
@@ -69,13 +69,13 @@ def sources_at_the_end(url: str, reason: str) -> dict[str, dict[str, Any]]:
 
 
 @pytest.mark.slow
-def test_the_page_holds_the_evaluations_of_a_study(tmp_path: Path) -> None:
+def test_page_shows_the_evaluations_of_a_study(tmp_path: Path) -> None:
     with open_cluster(workers=2) as cluster:
         url = page_of(cluster.dashboard)
         assert sources_of(url)["studies"]["study"] == []
         log = run_small_study(cluster.client, tmp_path / "demo")
         assert log.end is not None
-        assert "Palpate" in html_of(cluster.dashboard)  # the tab, on Dask's own pages
+        assert "Palpate" in html_of(cluster.dashboard)  # a tab on Dask's own pages
         assert "bokeh" in html_of(url)
         sources = sources_at_the_end(url, log.end.reason)
     endings = Counter(record.status.value for record in log.endings.values())
@@ -92,7 +92,7 @@ def test_the_page_holds_the_evaluations_of_a_study(tmp_path: Path) -> None:
     assert sources["stages"]["seconds"] == pytest.approx([computed])
 
 
-def test_the_page_holds_the_steps_of_a_diagnosis(
+def test_page_shows_the_steps_of_a_diagnosis(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     steps = [Step("calibration", 0, 1), Step("calibration", 1, 1, "")]
@@ -122,11 +122,11 @@ def test_the_page_holds_the_steps_of_a_diagnosis(
         diagnoses = sources_of(url)["diagnoses"]
     assert observed == steps
     assert shown == ["effects, 2 of 3: plate_tilt, 0", "no-gap", "reading", "interrupted"]
-    assert diagnoses["diagnosis"] == ["patient-7"]  # begun again, it has one row
+    assert diagnoses["diagnosis"] == ["patient-7"]  # restarted, it still has one row
 
 
 def state_of_diagnosis(url: str, reached: Callable[[str], bool]) -> list[str]:
-    """Return the states of the diagnoses once one of them is such."""
+    """Return the states of the diagnoses once one of them satisfies a condition."""
     end = time.monotonic() + DEADLINE_S
     while not any(map(reached, states := sources_of(url)["diagnoses"]["state"])):
         if time.monotonic() > end:
@@ -135,7 +135,7 @@ def state_of_diagnosis(url: str, reached: Callable[[str], bool]) -> list[str]:
     return list(states)
 
 
-def test_an_existing_scheduler_gets_it_once(tmp_path: Path) -> None:
+def test_tab_is_added_only_once(tmp_path: Path) -> None:
     local = LocalCluster(
         n_workers=1,
         threads_per_worker=1,
@@ -155,7 +155,7 @@ def test_an_existing_scheduler_gets_it_once(tmp_path: Path) -> None:
         assert sum(f"/{PAGE}" in page.app_paths for page in pages) == 1
 
 
-def test_a_scheduler_without_dashboard_has_no_tab(caplog: pytest.LogCaptureFixture) -> None:
+def test_scheduler_without_dashboard_has_no_tab(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO", "palpate.service.cluster.dask_tab")
     with (
         LocalCluster(
@@ -183,7 +183,7 @@ def test_idle_time_counts_threads_without_a_task() -> None:
     assert idle.so_far() == (3.0 + 0.0 + 4.0, 6.0 + 2.0 + 4.0)
 
 
-def test_records_arrive_in_their_order() -> None:
+def test_records_arrive_in_order() -> None:
     arrived: list[str] = []
     delays_s = [0.1, 0.0]  # the first connection is the slower one
 

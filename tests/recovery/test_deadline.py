@@ -1,4 +1,4 @@
-"""Evaluations that hang: tried again, and in the end failed with their reason."""
+"""Evaluations that hang: retried, then failed with a reason."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,15 +22,13 @@ def client() -> Iterator[Any]:
 
 
 def second_largest(folder: Path) -> float:
-    """E_fat of the calm run between the two largest, MPa."""
+    """Return an E_fat between the two largest of the undisturbed run, MPa."""
     fats = sorted(genes["E_fat_kpa"] for genes, *_ in told(folder).values())
     return float((fats[-2] + fats[-1]) / 2) / 1000
 
 
 @pytest.mark.slow
-def test_one_that_hangs_is_tried_again_and_fails_with_its_reason(
-    client: Any, tmp_path: Path
-) -> None:
+def test_hanging_evaluation_is_retried_then_fails(client: Any, tmp_path: Path) -> None:
     calm, folder = tmp_path / "calm" / "study", tmp_path / "runs" / "study"
     run(calm, Inline(), DEADLINE)
     between = second_largest(calm)
@@ -45,7 +43,7 @@ def test_one_that_hangs_is_tried_again_and_fails_with_its_reason(
     assert not list((store.root / "overruns").iterdir())
 
 
-def test_one_that_hangs_once_has_its_score(client: Any, tmp_path: Path) -> None:
+def test_evaluation_that_hangs_once_has_its_score(client: Any, tmp_path: Path) -> None:
     calm, folder = tmp_path / "calm" / "study", tmp_path / "runs" / "study"
     run(calm, Inline(), DEADLINE)
     set_manners(tmp_path / "runs" / "store", hang_once_above=second_largest(calm))

@@ -1,4 +1,4 @@
-"""A driver killed with signal 9, twice; its own cluster goes down with it."""
+"""A driver killed twice with signal 9, together with its own cluster."""
 
 from pathlib import Path
 
@@ -11,4 +11,4 @@ def test_driver_killed_twice(tmp_path: Path) -> None:
     folder = tmp_path / "runs" / "demo"
     kill_and_finish(folder, ["--workers", "2"], killed_after=[1, 20])
     assert told(folder) == told(tmp_path / "undisturbed" / "demo")
-    assert_each_ran_once(folder, cut_off=4)  # two workers go down each time
+    assert_each_ran_once(folder, cut_off=4)  # two workers die each time

@@ -1,4 +1,4 @@
-"""Whatever happens to its writer, a journal holds every record that was acknowledged."""
+"""The journal keeps every acknowledged record, whatever happens to its writer."""
 
 import errno
 import fcntl
@@ -40,7 +40,7 @@ def written(path):
     return path
 
 
-def test_records_come_back_in_order_from_any_number_of_sittings(path):
+def test_records_of_several_sessions_are_read_in_order(path):
     assert read(path) == []
     for record in RECORDS:
         with Journal(path) as journal:
@@ -49,7 +49,7 @@ def test_records_come_back_in_order_from_any_number_of_sittings(path):
     assert path.read_bytes().count(b"\n") == len(RECORDS)
 
 
-def test_evaluations_with_infinite_scores_come_back(path):
+def test_round_trip_of_infinite_scores(path):
     common = {"generation": 0, "genes": {"E": 0.1 + 0.2}, "digest": "d"}
     written = [
         EvaluationRecord(candidate=i, status=Status.DONE, score={"gsf": gsf}, **common)
@@ -60,7 +60,7 @@ def test_evaluations_with_infinite_scores_come_back(path):
     assert [record_of(line) for line in Journal.read(path)] == written
 
 
-def test_a_crash_at_any_byte_costs_only_the_record_being_written(written):
+def test_crash_at_any_byte_loses_only_the_current_record(written):
     whole = written.read_bytes()
     for cut in range(len(whole) + 1):
         written.write_bytes(whole[:cut])
@@ -75,7 +75,7 @@ def test_a_crash_at_any_byte_costs_only_the_record_being_written(written):
 
 @pytest.mark.parametrize("length", [1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK])
 @pytest.mark.parametrize("before", [[], RECORDS])
-def test_a_torn_tail_of_any_length_is_cut_off_by_the_next_writer(path, before, length):
+def test_next_writer_cuts_off_a_torn_tail(path, before, length):
     with Journal(path) as journal:
         journal.append(*before)
     size = path.stat().st_size
@@ -87,7 +87,7 @@ def test_a_torn_tail_of_any_length_is_cut_off_by_the_next_writer(path, before, l
     assert path.stat().st_size == size
 
 
-def test_one_fsync_for_each_append_however_many_records(path, monkeypatch):
+def test_one_fsync_per_append(path, monkeypatch):
     with Journal(path) as journal:
         synced = []
         monkeypatch.setattr(os, "fsync", synced.append)
@@ -97,7 +97,7 @@ def test_one_fsync_for_each_append_however_many_records(path, monkeypatch):
         assert len(synced) == 1
 
 
-def test_a_record_is_on_disk_when_append_returns(path):
+def test_record_is_on_disk_when_append_returns(path):
     with Journal(path) as journal:
         for number, record in enumerate(RECORDS, start=1):
             journal.append(record)
@@ -107,7 +107,7 @@ def test_a_record_is_on_disk_when_append_returns(path):
 # One writer at a time
 
 
-def test_a_second_writer_is_told_that_the_study_is_running(written):
+def test_rejects_a_second_writer(written):
     with Journal(written) as first:
         with pytest.raises(JournalError, match=r"already running.*palpate status"):
             Journal(written)
@@ -117,7 +117,7 @@ def test_a_second_writer_is_told_that_the_study_is_running(written):
     assert read(written) == [*RECORDS, LAST, LAST]
 
 
-def test_a_second_writer_does_not_cut_off_what_the_first_is_writing(written):
+def test_second_writer_does_not_cut_off_the_first_one(written):
     with written.open("ab") as first:
         fcntl.flock(first, fcntl.LOCK_EX)
         first.write(b'{"half')
@@ -127,7 +127,7 @@ def test_a_second_writer_does_not_cut_off_what_the_first_is_writing(written):
     assert written.read_bytes().endswith(b'{"half')
 
 
-def test_a_killed_writer_leaves_its_records_and_no_lock(path):
+def test_killed_writer_leaves_records_and_no_lock(path):
     code = """
 import os, signal, sys
 from palpate.storage.records.journal import Journal
@@ -150,7 +150,7 @@ signal.pause()
     assert read(path) == [{"candidate": 0}, LAST]
 
 
-def test_the_lock_does_not_pass_to_a_program_that_outlives_the_study(path):
+def test_lock_is_not_inherited_by_other_programs(path):
     with Journal(path):
         outlives = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
     try:
@@ -160,8 +160,8 @@ def test_the_lock_does_not_pass_to_a_program_that_outlives_the_study(path):
         outlives.wait()
 
 
-def test_a_process_between_fork_and_exec_does_not_keep_the_lock(path):
-    """A nanny starts a worker while the journal is closed: the new process has a copy still."""
+def test_forked_process_does_not_keep_the_lock(path):
+    """A nanny starts a worker while the journal is closed: the new process still has a copy."""
     code = """
 import os, signal, sys
 from palpate.storage.records.journal import Journal
@@ -181,8 +181,8 @@ finally:
     assert ran.stdout == "opened again\n", ran.stderr
 
 
-def test_a_reader_that_asks_who_writes_does_not_turn_a_writer_away(written):
-    """`palpate status` holds a shared lock for an instant; a writer that comes then waits."""
+def test_status_check_does_not_reject_a_writer(written):
+    """`palpate status` holds a shared lock for an instant; a writer that starts then waits."""
     with written.open("rb") as reader:
         fcntl.flock(reader, fcntl.LOCK_SH)
         leaves = threading.Timer(0.2, fcntl.flock, (reader, fcntl.LOCK_UN))
@@ -193,7 +193,7 @@ def test_a_reader_that_asks_who_writes_does_not_turn_a_writer_away(written):
     assert read(written) == [*RECORDS, LAST]
 
 
-def test_a_place_that_cannot_lock_is_an_error_with_its_reason(path, monkeypatch):
+def test_reports_a_failed_lock(path, monkeypatch):
     def refuse(*_):
         raise OSError(errno.ENOLCK, "No locks available")
 
@@ -202,7 +202,7 @@ def test_a_place_that_cannot_lock_is_an_error_with_its_reason(path, monkeypatch)
         Journal(path)
 
 
-def test_a_journal_that_cannot_be_opened_is_an_error_with_its_reason(tmp_path):
+def test_reports_a_journal_that_cannot_be_opened(tmp_path):
     with pytest.raises(JournalError, match="No such file or directory"):
         Journal(tmp_path / "nowhere" / "journal.jsonl")
     with pytest.raises(JournalError, match="Is a directory"):
@@ -211,7 +211,7 @@ def test_a_journal_that_cannot_be_opened_is_an_error_with_its_reason(tmp_path):
         read(tmp_path)
 
 
-def test_closing_twice_does_no_harm_and_appending_afterwards_is_refused(path):
+def test_close_is_idempotent_and_rejects_later_appends(path):
     journal = Journal(path)
     journal.close()
     journal.close()
@@ -222,8 +222,8 @@ def test_closing_twice_does_no_harm_and_appending_afterwards_is_refused(path):
 # A disk that fails
 
 
-def test_a_file_that_may_not_grow_keeps_its_last_whole_record(path):
-    """The kernel cuts the write short at 300 bytes, then refuses (EFBIG)."""
+def test_file_size_limit_keeps_complete_records(path):
+    """The kernel cuts the write at 300 bytes, then refuses (EFBIG)."""
     code = """
 import resource, signal, sys
 from palpate.storage.errors import JournalError
@@ -252,7 +252,7 @@ FULL = OSError(errno.ENOSPC, "No space left on device")
 
 
 def fail_after(count, error):
-    """An ``os.write`` that writes `count` bytes, then raises."""
+    """Return an ``os.write`` that writes `count` bytes, then raises."""
     real, left = os.write, [count]
 
     def write(handle, data):
@@ -267,7 +267,7 @@ def fail_after(count, error):
 
 @pytest.mark.parametrize("count", [0, 1, 17, 80])
 @pytest.mark.parametrize("error", [FULL, KeyboardInterrupt()], ids=["full", "Ctrl-C"])
-def test_a_write_that_fails_half_way_leaves_a_journal_to_go_on_with(written, count, error):
+def test_failed_write_leaves_a_usable_journal(written, count, error):
     with Journal(written) as journal:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(os, "write", fail_after(count, error))
@@ -278,14 +278,14 @@ def test_a_write_that_fails_half_way_leaves_a_journal_to_go_on_with(written, cou
     assert read(written) == [*RECORDS, LAST]
 
 
-def test_a_full_disk_says_what_to_do(written, monkeypatch):
+def test_full_disk_gives_advice(written, monkeypatch):
     with Journal(written) as journal:
         monkeypatch.setattr(os, "write", fail_after(3, FULL))
         with pytest.raises(JournalError, match=r"No space left.*free some space"):
             journal.append(LAST)
 
 
-def test_what_could_not_be_synced_has_not_happened(written):
+def test_record_that_cannot_be_synced_is_dropped(written):
     def fail(_):
         raise OSError(errno.EIO, "Input/output error")
 
@@ -297,7 +297,7 @@ def test_what_could_not_be_synced_has_not_happened(written):
         assert read(written) == RECORDS
 
 
-def test_a_tail_that_cannot_be_cut_off_at_once_is_cut_off_later(written):
+def test_failed_cut_of_a_tail_is_repeated_later(written):
     def fail(*_):
         raise OSError(errno.EIO, "Input/output error")
 
@@ -314,16 +314,16 @@ def test_a_tail_that_cannot_be_cut_off_at_once_is_cut_off_later(written):
 
 
 @pytest.mark.parametrize("bad", [{"gsf": math.nan}, {"gsf": -math.inf}, {"x": {1, 2}}])
-def test_what_json_cannot_hold_is_refused_before_anything_is_written(written, bad):
+def test_rejects_values_that_json_cannot_represent(written, bad):
     with Journal(written) as journal, pytest.raises((ValueError, TypeError)):
         journal.append(LAST, bad)
     assert read(written) == RECORDS
 
 
-# A file that is changed by others
+# A file changed by other programs
 
 
-def test_a_journal_that_is_replaced_while_it_is_written_is_noticed(written, tmp_path):
+def test_detects_a_replaced_journal(written, tmp_path):
     with Journal(written) as journal:
         written.rename(tmp_path / "moved")
         with pytest.raises(JournalError, match="moved or replaced"):
@@ -334,7 +334,7 @@ def test_a_journal_that_is_replaced_while_it_is_written_is_noticed(written, tmp_
     assert read(tmp_path / "moved") == RECORDS
 
 
-def test_a_journal_that_is_edited_while_it_is_written_is_noticed_and_left(written):
+def test_detects_and_keeps_an_edited_journal(written):
     with Journal(written) as journal:
         with written.open("a") as other:
             other.write('{"by": "hand"}\n')
@@ -348,7 +348,7 @@ def test_a_journal_that_is_edited_while_it_is_written_is_noticed_and_left(writte
     [b'{"candi', b"", b"[1]", b"3", b'{"gsf":NaN}', b"\xff\xfe", b"\0" * 40, b"[" * 100_000],
     ids=["torn", "empty", "list", "number", "nan", "bytes", "zeros", "deep"],
 )
-def test_a_damaged_line_in_the_middle_is_never_passed_over(path, damage):
+def test_damaged_line_in_the_middle_is_an_error(path, damage):
     path.write_bytes(b'{"candidate":0}\n{"candidate":1}\n' + damage + b'\n{"candidate":3}\n')
     lines = Journal.read(path)
     assert [next(lines), next(lines)] == [{"candidate": 0}, {"candidate": 1}]
@@ -357,7 +357,7 @@ def test_a_damaged_line_in_the_middle_is_never_passed_over(path, damage):
     assert len(str(caught.value)) < 600
 
 
-def test_the_advice_for_a_damaged_line_works(path):
+def test_advice_for_a_damaged_line_works(path):
     path.write_bytes(b'{"candidate":0}\n{"candi\n{"candidate":2}\n')
     with pytest.raises(JournalError, match=r"line 2: .*the line before it is intact"):
         read(path)
@@ -369,7 +369,7 @@ def test_the_advice_for_a_damaged_line_works(path):
     assert read(path) == [{"candidate": 0}, LAST]
 
 
-def test_a_record_of_a_newer_version_asks_for_an_upgrade(written):
+def test_newer_record_asks_for_an_upgrade(written):
     with written.open("a") as newer:
         newer.write('{"kind":"verdict","schema_version":2}\n')
     with pytest.raises(NewerSchemaError, match=r"line 6, was written by a newer.*Upgrade"):
@@ -377,14 +377,14 @@ def test_a_record_of_a_newer_version_asks_for_an_upgrade(written):
 
 
 @pytest.mark.parametrize("version", ["null", '"1"', "0", "true", "1.5"])
-def test_a_version_that_is_none_is_damage(written, version):
+def test_invalid_version_is_damage(written, version):
     with written.open("a") as other:
         other.write(f'{{"schema_version":{version}}}\n')
     with pytest.raises(JournalError, match="line 6: not a JSON record"):
         read(written)
 
 
-def test_readers_never_see_half_a_record_while_another_process_writes(path):
+def test_concurrent_readers_never_see_partial_records(path):
     code = """
 import sys
 from palpate.storage.records.journal import Journal

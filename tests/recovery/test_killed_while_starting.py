@@ -1,4 +1,4 @@
-"""Worker processes killed with signal 9 before they have come up."""
+"""Worker processes killed with signal 9 while they start."""
 
 import os
 import threading
@@ -14,7 +14,7 @@ from palpate.service.errors import ClusterError
 
 
 class Killer:
-    """Kills the first worker processes of this process, or all, as soon as they appear."""
+    """A thread that kills the first worker processes, or all, as soon as they appear."""
 
     def __init__(self, most: float) -> None:
         self.most, self.killed = most, set[int]()
@@ -40,7 +40,7 @@ class Killer:
         self._thread.join()
 
 
-def test_workers_killed_while_they_start_are_replaced(
+def test_replaces_workers_killed_while_starting(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(cluster_module, "MEND_EVERY_S", 0.2)
@@ -51,7 +51,7 @@ def test_workers_killed_while_they_start_are_replaced(
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_no_worker_that_starts_is_one_message(capfd: pytest.CaptureFixture[str]) -> None:
+def test_no_worker_starting_gives_one_message(capfd: pytest.CaptureFixture[str]) -> None:
     with (
         Killer(most=float("inf")),
         pytest.raises(ClusterError, match="No worker process has started in 3 attempts"),

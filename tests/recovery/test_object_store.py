@@ -1,6 +1,6 @@
-"""A study whose store is in a bucket: the same journal as with a folder, whatever the server does.
+"""Studies with a store in a bucket: the same journal as with a folder, even if the server fails.
 
-The server is moto's, over HTTP; it is stopped in the middle of a study and started again.
+The server is moto's, over HTTP; it is stopped during a study and restarted.
 """
 
 import subprocess
@@ -36,7 +36,7 @@ seed: 3
 
 
 def journal(folder: Path) -> list[Any]:
-    """All records of a journal without moments and places, to the last bit."""
+    """Return all records of a journal without times and locations, bit-exact."""
     return [without(record) for record in Journal.read(StudyLayout(folder).journal)]
 
 
@@ -46,7 +46,7 @@ def without(value: Any) -> Any:
     return value
 
 
-def test_the_journal_is_that_of_a_local_store(bucket: str, tmp_path: Path) -> None:
+def test_journal_matches_a_local_store(bucket: str, tmp_path: Path) -> None:
     run(tmp_path / "local" / "demo", Inline())
     run(tmp_path / "runs" / "demo", Inline(), store=f"{bucket}/store")
     there = journal(tmp_path / "runs" / "demo")
@@ -54,7 +54,7 @@ def test_the_journal_is_that_of_a_local_store(bucket: str, tmp_path: Path) -> No
     assert not (tmp_path / "runs" / "store").exists()
     ran = executed(f"{bucket}/store")
     assert len(ran) == len(set(ran)) >= len({r["digest"] for r in there if "digest" in r})
-    # Whoever runs it again finds the store of the last run, and all that is in it.
+    # A later run finds the store of the last run with its content.
     run(tmp_path / "again" / "demo", Inline(), store=f"{bucket}/store")
     assert told(tmp_path / "again" / "demo") == told(tmp_path / "runs" / "demo")
     assert executed(f"{bucket}/store") == ran
@@ -63,7 +63,7 @@ def test_the_journal_is_that_of_a_local_store(bucket: str, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_real_evaluations_are_the_same_to_the_last_bit(bucket: str, tmp_path: Path) -> None:
+def test_real_evaluations_are_bit_identical(bucket: str, tmp_path: Path) -> None:
     spec = parse_spec(REAL, "the test's study", Path())
     for place, store in (("local", tmp_path / "store"), ("bucket", f"{bucket}/store")):
         Study(spec, tmp_path / place, store).run(Inline())
@@ -71,7 +71,7 @@ def test_real_evaluations_are_the_same_to_the_last_bit(bucket: str, tmp_path: Pa
 
 
 class CutOff(Inline):
-    """Stops the server after so many endings, and lets it come back after some seconds."""
+    """A runner that stops the server after some endings and restarts it some seconds later."""
 
     def __init__(self, server: ObjectServer, after: int, seconds: float) -> None:
         self._server, self._left = server, after
@@ -91,7 +91,7 @@ class CutOff(Inline):
 def cut_off(
     server: ObjectServer, folder: Path, store: str, after: int, seconds: float
 ) -> threading.Thread:
-    """Stop the server once the journal has so many endings, and start it again."""
+    """Stop the server at a given number of endings in the journal, then restart it."""
 
     def cutting() -> None:
         while len(told(folder)) < after:
@@ -106,9 +106,7 @@ def cut_off(
     return thread
 
 
-def test_a_server_that_is_away_for_a_while_costs_nothing_but_time(
-    stoppable_server: ObjectServer, tmp_path: Path
-) -> None:
+def test_server_outage_only_costs_time(stoppable_server: ObjectServer, tmp_path: Path) -> None:
     run(tmp_path / "calm" / "demo", Inline())
     folder, store = tmp_path / "runs" / "demo", f"s3://{stoppable_server.new_bucket()}/store"
     cutting = CutOff(stoppable_server, after=10, seconds=3.0)
@@ -125,10 +123,10 @@ def test_a_server_that_is_away_for_a_while_costs_nothing_but_time(
 def test_workers_wait_ten_seconds_for_the_server(
     stoppable_server: ObjectServer, tmp_path: Path
 ) -> None:
-    """The driver and two workers, each a process of its own, as `palpate run` starts them."""
+    """The driver and two workers are separate processes, as started by `palpate run`."""
     run(tmp_path / "calm" / "demo", Inline())
     folder, store = tmp_path / "runs" / "demo", f"s3://{stoppable_server.new_bucket()}/store"
-    set_manners(store, seconds=0.1, held_after=20)  # so the cut comes before the end
+    set_manners(store, seconds=0.1, held_after=20)  # so the outage starts before the end
     command = [sys.executable, str(HERE / "driver.py"), str(folder), "--workers", "2", store]
     with subprocess.Popen(command) as driver:
         cutting = cut_off(stoppable_server, folder, store, after=10, seconds=10.0)

@@ -12,7 +12,7 @@ from tests.recovery.stand_ins import Inline, executions, run, told
 
 
 @pytest.mark.slow
-def test_drivers_come_and_go_beside_a_running_scheduler(tmp_path: Path) -> None:
+def test_drivers_are_killed_while_the_scheduler_runs(tmp_path: Path) -> None:
     run(tmp_path / "undisturbed" / "demo", Inline())
     folder = tmp_path / "runs" / "demo"
     with plain_cluster(tmp_path, workers=2) as address:
@@ -26,8 +26,8 @@ def test_drivers_come_and_go_beside_a_running_scheduler(tmp_path: Path) -> None:
             check=True,
         )
     assert told(folder) == told(tmp_path / "undisturbed" / "demo")
-    # A worker outlives its driver and may finish what the next driver has asked for again:
-    # at most what was under way, one evaluation on each worker for each kill.
+    # A worker outlives its driver and may finish a task that the next driver has requested again:
+    # at most one running evaluation on each worker for each kill.
     ran = executions(folder)
     assert len(ran) - len(set(ran)) <= 2 * 2
 

@@ -1,4 +1,4 @@
-"""A search without generations: whatever order its tasks end in, its journal repeats it."""
+"""Searches without generations, which replay their journal whatever the order of endings."""
 
 import random
 from collections.abc import Callable, Iterator
@@ -28,7 +28,7 @@ SPACE = Space.from_bounds({"a": (0, 1), "b": (0, 1), "c": (0, 1)})
 
 
 class Shuffled:
-    """Up to 12 tasks at once, which end in a random order; stops after so many."""
+    """A runner of up to 12 concurrent tasks that end in random order, stopping after some."""
 
     threads = 1
 
@@ -70,18 +70,18 @@ def log_of(folder: Path) -> StudyLog:
 
 
 def assert_repeats(folder: Path) -> None:
-    """Every candidate of the journal is proposed again, bit for bit, from what came before it."""
+    """Check that every candidate is proposed again, bit for bit, from the endings before it."""
     log = log_of(folder)
     replay = SteadyReplay(small_spec(STEADY).steady_search)
     genes = {}
     for record in log.endings.values():
         while isinstance(pending := replay.propose(), PendingGeneration):
             genes[pending.first] = pending.genes(pending.first)
-        assert genes[record.candidate] == dict(record.genes)  # before its own ending is known
+        assert genes[record.candidate] == dict(record.genes)  # before its own ending is added
         replay.add(record)
 
 
-def test_the_journal_repeats_the_search_and_a_stop_changes_nothing_of_it(tmp_path: Path) -> None:
+def test_replay_and_interruption_reproduce_the_search(tmp_path: Path) -> None:
     spec = small_spec(STEADY)
     for seed in range(3):
         folder = tmp_path / str(seed) / "study"
@@ -101,7 +101,7 @@ def test_the_journal_repeats_the_search_and_a_stop_changes_nothing_of_it(tmp_pat
         assert told(folder) == first
 
 
-def test_workers_stay_busy_where_a_barrier_would_let_them_wait(tmp_path: Path) -> None:
+def test_workers_stay_busy_without_a_barrier(tmp_path: Path) -> None:
     dispatcher = Shuffled(1)
     run(tmp_path / "study", dispatcher, small_spec(STEADY))
     assert min(dispatcher.at_once[:40]) >= 10  # equal candidates share one task
@@ -109,7 +109,7 @@ def test_workers_stay_busy_where_a_barrier_would_let_them_wait(tmp_path: Path) -
     assert order != sorted(order)
 
 
-def test_another_order_is_not_taken_for_this_search(tmp_path: Path) -> None:
+def test_rejects_a_reordered_journal(tmp_path: Path) -> None:
     run(tmp_path / "study", Shuffled(2), small_spec(STEADY))
     endings = list(log_of(tmp_path / "study").endings.items())
     moved = dict(endings[20:30] + endings[:20] + endings[30:])
@@ -118,7 +118,7 @@ def test_another_order_is_not_taken_for_this_search(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_real_cluster_takes_it(client: Any, tmp_path: Path) -> None:
+def test_steady_search_on_a_real_cluster(client: Any, tmp_path: Path) -> None:
     set_manners(tmp_path / "store", crash_above=0.019, seconds=0.01)
     conclusion = run(tmp_path / "study", Dispatcher(client), small_spec(STEADY))
     assert sorted(told(tmp_path / "study")) == list(range(60))
@@ -130,7 +130,7 @@ def test_a_real_cluster_takes_it(client: Any, tmp_path: Path) -> None:
     }
 
 
-def test_nothing_but_crashes_is_no_search(tmp_path: Path) -> None:
+def test_crashes_only_stop_the_search(tmp_path: Path) -> None:
     set_manners(tmp_path / "store", crash_above=0.0)
     with pytest.raises(GenerationCrashError, match="All 12 candidates"):
         run(tmp_path / "study", Shuffled(3), small_spec(STEADY))
@@ -150,12 +150,12 @@ def client() -> Iterator[Any]:
         ("in_flight: 4", "in_flight needs mode: steady"),
     ],
 )
-def test_what_does_not_go_together_is_refused(more: str, message: str) -> None:
+def test_rejects_inconsistent_keys(more: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
         small_spec(SPEC.replace("population: 12", more))
 
 
-def test_studies_from_before_keep_their_digests() -> None:
+def test_older_studies_keep_their_digests() -> None:
     known = small_spec(SPEC).as_dict()["search"]
     assert not {"mode", "in_flight"} & set(known)
     assert small_spec(STEADY).as_dict()["search"]["mode"] == "steady"
@@ -166,7 +166,7 @@ def distance(genes: Any) -> float:
 
 
 def steady_best(seed: int, settings: GeneticSettings, in_flight: int) -> float:
-    """Run it with tasks that end in the order of lengths drawn at random."""
+    """Run a steady search with tasks of random durations and return its best score."""
     search, pool = SteadyGenetic(SPACE, settings, seed, in_flight), Pool(settings.population)
     drawn = random.Random(seed)
     under_way: list[tuple[float, int, Any]] = []
@@ -196,7 +196,7 @@ def barrier_best(seed: int, settings: GeneticSettings) -> float:
     return float(min(g.scores.min() for g in history))
 
 
-def test_it_finds_what_generations_find_with_as_many_evaluations() -> None:
+def test_steady_search_is_as_efficient_as_generations() -> None:
     settings = GeneticSettings(population=40, generations=12, stall=None)
     seeds = range(15)
     barrier = np.median([barrier_best(seed, settings) for seed in seeds])

@@ -1,4 +1,4 @@
-"""Studies that end by a rule or by an observer, and continue like any other."""
+"""Studies that are ended by a rule or an observer, and can be continued."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -29,7 +29,7 @@ def test_a_score_ends_a_search(tmp_path: Path) -> None:
     assert len(told(tmp_path / "good")) < len(told(tmp_path / "calm"))
 
 
-def test_the_score_is_that_of_the_objective(tmp_path: Path) -> None:
+def test_stop_score_uses_the_objective(tmp_path: Path) -> None:
     keys = "stop: {score: 0.5}\nscore: {objective: jc}"
     assert ended(tmp_path / "demo", keys) == "Jaccard coefficient 0.5 is reached"
 
@@ -76,7 +76,7 @@ def test_an_observer_ends_a_search(tmp_path: Path, spec: str, evaluated: int) ->
         "stop: {evaluations: 40}",
     ],
 )
-def test_interrupted_and_continued_they_are_the_same(tmp_path: Path, keys: str) -> None:
+def test_interrupted_studies_stop_at_the_same_candidate(tmp_path: Path, keys: str) -> None:
     class Stopping(Inline):
         def run(self, task: Any, calls: Any) -> Any:
             for count, ending in enumerate(super().run(task, calls)):

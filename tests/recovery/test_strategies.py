@@ -1,4 +1,4 @@
-"""Every strategy is a fold: cut anywhere, it goes on to the same candidates and scores."""
+"""Strategies interrupted at any point continue with the same candidates and scores."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator
@@ -37,7 +37,7 @@ def spec_of(strategy: str) -> StudySpec:
 
 
 class Cut(Inline):
-    """Stops after some endings; the rest of a generation arrives in the opposite order."""
+    """A runner that stops after some endings; the rest of a generation arrives in reverse."""
 
     def __init__(self, endings: int) -> None:
         self.left = endings
@@ -57,7 +57,7 @@ def journal(folder: Path) -> StudyLog:
 
 
 @pytest.mark.parametrize("strategy", list(STRATEGIES))
-def test_cut_and_resumed_is_as_if_never_cut(tmp_path: Path, strategy: str) -> None:
+def test_interrupted_search_matches_an_undisturbed_one(tmp_path: Path, strategy: str) -> None:
     calm, cut = tmp_path / "calm" / "demo", tmp_path / "cut" / "demo"
     spec = spec_of(strategy)
     run(calm, Inline(), spec)
@@ -75,7 +75,7 @@ def test_cut_and_resumed_is_as_if_never_cut(tmp_path: Path, strategy: str) -> No
     assert_each_ran_once(cut)
 
 
-def test_the_genetic_part_is_what_it_is_alone(tmp_path: Path) -> None:
+def test_genetic_stage_matches_a_genetic_search(tmp_path: Path) -> None:
     alone, polished = tmp_path / "a" / "demo", tmp_path / "b" / "demo"
     run(alone, Inline())
     run(polished, Inline(), spec_of("genetic+least-squares"))
@@ -84,7 +84,7 @@ def test_the_genetic_part_is_what_it_is_alone(tmp_path: Path) -> None:
     assert len(both) > len(told(alone))
 
 
-def test_least_squares_finds_the_optimum_and_says_how_well(tmp_path: Path) -> None:
+def test_least_squares_finds_the_optimum_and_its_interval(tmp_path: Path) -> None:
     folder = tmp_path / "runs" / "demo"
     conclusion = run(folder, Inline(), spec_of("least-squares"))
     assert conclusion.best is not None
@@ -93,7 +93,7 @@ def test_least_squares_finds_the_optimum_and_says_how_well(tmp_path: Path) -> No
     assert len(executions(folder)) < 25
     found = study_results(folder).identification
     assert found is not None
-    # Twenty residuals of 1 % each: 0.01 / sqrt(20), nine out of ten within 1.645 of it.
+    # Twenty residuals of 1 % each: 0.01 / sqrt(20), times 1.645 for 90 %.
     interval = found.constants["E_fat"].interval
     assert interval is not None
     assert interval.upper / interval.lower - 1 == pytest.approx(2 * 1.645e-2 / 20**0.5, rel=0.01)
@@ -104,7 +104,7 @@ def test_least_squares_finds_the_optimum_and_says_how_well(tmp_path: Path) -> No
     )
 
 
-def test_polish_stands_beside_what_the_search_found(tmp_path: Path) -> None:
+def test_results_include_the_estimate_before_polish(tmp_path: Path) -> None:
     folder = tmp_path / "runs" / "demo"
     run(folder, Inline(), spec_of("genetic+least-squares"))
     results = study_results(folder)
@@ -115,7 +115,7 @@ def test_polish_stands_beside_what_the_search_found(tmp_path: Path) -> None:
     assert study_json(results)["estimates"]["E_fat"]["before_polish"] == estimate.before_polish
 
 
-def test_identification_is_not_computed_again(tmp_path: Path) -> None:
+def test_identification_is_not_recomputed(tmp_path: Path) -> None:
     folder = tmp_path / "runs" / "demo"
     run(folder, Inline())
     before, ran = journal(folder).identification, executions(folder)

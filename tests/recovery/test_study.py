@@ -1,6 +1,6 @@
-"""A study gives the same candidates and scores, whatever happens on the way.
+"""Studies give the same candidates and scores under every disturbance.
 
-The reference is a run without any cluster, one candidate after the other.
+The reference is a run without a cluster, one candidate after the other.
 """
 
 import gc
@@ -63,7 +63,7 @@ def journal_of(folder: Path) -> Path:
     return StudyLayout(folder).journal
 
 
-def test_a_run_evaluates_all_but_elites(reference: dict[int, tuple[Any, ...]]) -> None:
+def test_evaluates_all_candidates_except_elites(reference: dict[int, tuple[Any, ...]]) -> None:
     assert len(reference) == 12 + 4 * 10
     elites = {12 * g + i for g in range(1, 5) for i in range(2)}
     assert not elites & set(reference)
@@ -71,7 +71,7 @@ def test_a_run_evaluates_all_but_elites(reference: dict[int, tuple[Any, ...]]) -
 
 
 @pytest.mark.parametrize("workers", [1, 2, 4])
-def test_number_of_workers_changes_nothing(
+def test_result_is_independent_of_the_number_of_workers(
     client: Any, folder: Path, reference: dict[int, tuple[Any, ...]], workers: int
 ) -> None:
     client.cluster.scale(workers)
@@ -85,7 +85,7 @@ def test_number_of_workers_changes_nothing(
 
 
 @pytest.mark.parametrize("asked", [1, 9, 30])
-def test_stopping_and_going_on_changes_nothing(
+def test_interruption_does_not_change_the_result(
     client: Any, folder: Path, reference: dict[int, tuple[Any, ...]], asked: int
 ) -> None:
     class Count(Observer):
@@ -103,7 +103,7 @@ def test_stopping_and_going_on_changes_nothing(
     assert_each_ran_once(folder)
 
 
-def test_a_finished_study_runs_nothing_again(folder: Path) -> None:
+def test_finished_study_computes_nothing(folder: Path) -> None:
     first = run(folder, Inline())
     ran = executions(folder)
     second = run(folder, Inline())
@@ -111,7 +111,7 @@ def test_a_finished_study_runs_nothing_again(folder: Path) -> None:
     assert second.best == first.best
 
 
-def test_another_study_uses_what_is_in_the_store(folder: Path) -> None:
+def test_another_study_reuses_the_store(folder: Path) -> None:
     run(folder, Inline())
     ran = executions(folder)
     other = folder.with_name("other")
@@ -123,7 +123,7 @@ def test_another_study_uses_what_is_in_the_store(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("keep", ["best", "elites", "all"])
-def test_volumes_are_kept_as_asked(folder: Path, keep: str) -> None:
+def test_keeps_the_requested_volumes(folder: Path, keep: str) -> None:
     conclusion = run(folder, Inline(), small_spec(SPEC + f"keep: {keep}\n"))
     kept = set((folder.parent / "store" / KEPT).read_text().split())
     endings = StudyLog.read(journal_of(folder)).endings
@@ -142,7 +142,7 @@ def test_volumes_are_kept_as_asked(folder: Path, keep: str) -> None:
     assert kept == wanted
 
 
-def test_a_crash_is_an_ending_with_its_traceback(client: Any, folder: Path) -> None:
+def test_crash_is_recorded_with_its_traceback(client: Any, folder: Path) -> None:
     set_manners(folder.parent / "store", crash_above=0.017)
     conclusion = run(folder, Dispatcher(client))
     endings = StudyLog.read(journal_of(folder)).endings.values()
@@ -159,7 +159,7 @@ def test_a_crash_is_an_ending_with_its_traceback(client: Any, folder: Path) -> N
 
 
 class Crashing(Inline):
-    """Tells of an exception as a worker does."""
+    """A runner that reports exceptions like a worker."""
 
     def run(self, task: Any, calls: Any) -> Iterator[Ending]:
         for key, arguments in calls:
@@ -170,7 +170,7 @@ class Crashing(Inline):
                 yield Ending(key, "crashed", None, error, reason, "in misbehave")
 
 
-def test_a_generation_that_crashes_for_one_reason_stops_the_study(
+def test_generation_of_identical_crashes_stops_the_study(
     folder: Path, reference: dict[int, tuple[Any, ...]]
 ) -> None:
     set_manners(folder.parent / "store", crash_above=0.0)
@@ -179,12 +179,12 @@ def test_a_generation_that_crashes_for_one_reason_stops_the_study(
     assert "All 12 candidates of generation 1" in str(stopped.value)
     assert stopped.value.traceback == "in misbehave"
     assert told(folder) == {}
-    set_manners(folder.parent / "store")  # put right
+    set_manners(folder.parent / "store")  # corrected
     run(folder, Crashing())
     assert told(folder) == reference
 
 
-def test_a_later_generation_that_crashes_keeps_the_earlier_ones(
+def test_later_crashes_keep_earlier_generations(
     folder: Path, reference: dict[int, tuple[Any, ...]]
 ) -> None:
     def stop_later(request: Any) -> Any:
@@ -202,7 +202,7 @@ def test_a_later_generation_that_crashes_keeps_the_earlier_ones(
     assert told(folder) == reference
 
 
-def test_crashes_for_several_reasons_are_endings(folder: Path) -> None:
+def test_different_crashes_are_recorded(folder: Path) -> None:
     def crash(request: Any) -> Any:
         soft = request["constants"]["E_fat"] < 0.01
         raise ZeroDivisionError("soft" if soft else "stiff")
@@ -215,10 +215,8 @@ def test_crashes_for_several_reasons_are_endings(folder: Path) -> None:
     assert [record.status for record in endings] == [Status.CRASHED] * 12
 
 
-def test_a_candidate_that_kills_its_workers_is_lost_and_the_study_goes_on(
-    client: Any, folder: Path
-) -> None:
-    # Of the first twelve candidates exactly one lies above this bound.
+def test_candidate_that_kills_its_workers_is_lost(client: Any, folder: Path) -> None:
+    # Exactly one of the first twelve candidates is above this bound.
     spec = small_spec(SPEC.replace("generations: 5", "generations: 1"))
     run(folder.parent.parent / "look" / "demo", Inline(), spec)
     first = told(folder.parent.parent / "look" / "demo").values()
@@ -231,7 +229,7 @@ def test_a_candidate_that_kills_its_workers_is_lost_and_the_study_goes_on(
     assert len(told(folder)) == 12
 
 
-def test_a_cluster_whose_workers_all_die_is_no_verdict(
+def test_dying_cluster_does_not_fail_candidates(
     client: Any, folder: Path, reference: dict[int, tuple[Any, ...]]
 ) -> None:
     set_manners(folder.parent / "store", die_above=0.012)
@@ -243,7 +241,7 @@ def test_a_cluster_whose_workers_all_die_is_no_verdict(
     assert told(folder) == reference
 
 
-def test_a_full_disk_of_a_worker_is_no_verdict(
+def test_full_disk_of_a_worker_does_not_fail_candidates(
     client: Any, folder: Path, reference: dict[int, tuple[Any, ...]]
 ) -> None:
     set_manners(folder.parent / "store", full_disk_above=0.012)
@@ -254,7 +252,7 @@ def test_a_full_disk_of_a_worker_is_no_verdict(
     assert told(folder) == reference
 
 
-def test_a_full_disk_while_journalling_keeps_what_is_written(
+def test_full_disk_keeps_the_written_journal(
     folder: Path, reference: dict[int, tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written = storage_journal._write_all
@@ -277,15 +275,13 @@ def test_a_full_disk_while_journalling_keeps_what_is_written(
     assert told(folder) == reference
 
 
-def test_a_second_driver_is_refused(folder: Path) -> None:
+def test_rejects_a_second_driver(folder: Path) -> None:
     study = Study(small_spec(), folder, tasks=TASKS)
     with study.folder.open(), pytest.raises(JournalError, match="already running"):
         run(folder, Inline())
 
 
-def test_a_torn_last_line_never_happened(
-    folder: Path, reference: dict[int, tuple[Any, ...]]
-) -> None:
+def test_torn_last_line_is_ignored(folder: Path, reference: dict[int, tuple[Any, ...]]) -> None:
     run(folder, Inline())
     data = journal_of(folder).read_bytes()
     journal_of(folder).write_bytes(data[: 3 * len(data) // 5])
@@ -293,7 +289,7 @@ def test_a_torn_last_line_never_happened(
     assert told(folder) == reference
 
 
-def test_a_damaged_line_is_refused_with_its_number(folder: Path) -> None:
+def test_rejects_a_damaged_line_by_number(folder: Path) -> None:
     run(folder, Inline())
     lines = journal_of(folder).read_bytes().splitlines(keepends=True)
     lines[6] = b'{"kind": "evaluation", \x00\x00\n'
@@ -302,7 +298,7 @@ def test_a_damaged_line_is_refused_with_its_number(folder: Path) -> None:
         run(folder, Inline())
 
 
-def test_genes_that_the_search_would_not_propose_are_refused(folder: Path) -> None:
+def test_rejects_genes_of_another_search(folder: Path) -> None:
     run(folder, Inline())
     lines = [json.loads(line) for line in journal_of(folder).read_text().splitlines()]
     tampered = next(line for line in lines if line.get("candidate") == 5)
@@ -312,7 +308,7 @@ def test_genes_that_the_search_would_not_propose_are_refused(folder: Path) -> No
         run(folder, Inline())
 
 
-def test_a_newer_store_and_a_newer_journal_are_refused(folder: Path) -> None:
+def test_rejects_newer_stores_and_journals(folder: Path) -> None:
     run(folder, Inline())
     marker = folder.parent / "store" / "palpate-store.json"
     marker.write_text(marker.read_text().replace('"schema_version":1', '"schema_version":2'))
@@ -324,14 +320,14 @@ def test_a_newer_store_and_a_newer_journal_are_refused(folder: Path) -> None:
         run(folder, Inline())
 
 
-def test_a_changed_study_is_refused_with_the_keys_that_differ(folder: Path) -> None:
+def test_rejects_a_changed_study_listing_its_keys(folder: Path) -> None:
     run(folder, Inline())
     changed = small_spec(SPEC.replace("population: 12", "population: 14"))
     with pytest.raises(InputError, match=r"search\.population: 12 before, 14 now"):
         run(folder, Inline(), changed)
 
 
-def test_changed_code_is_refused_unless_accepted(
+def test_rejects_changed_code_unless_accepted(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(folder, Inline())
@@ -342,14 +338,14 @@ def test_changed_code_is_refused_unless_accepted(
     run(folder, Inline(), accept_new_code=True)
 
 
-def test_a_changed_image_is_refused(folder: Path) -> None:
+def test_rejects_a_changed_image(folder: Path) -> None:
     run(folder, Inline())
     changed = replace(TASKS, target=lambda *_: {"target": "another", "kind": "image"})
     with pytest.raises(InputError, match="target of this study was"):
         Study(small_spec(), folder, tasks=changed).run(Inline())  # type: ignore[arg-type]
 
 
-def test_an_observer_that_fails_is_dropped(
+def test_failing_observer_is_dropped(
     folder: Path, reference: dict[int, tuple[Any, ...]], caplog: pytest.LogCaptureFixture
 ) -> None:
     class Broken(Observer):
@@ -362,7 +358,7 @@ def test_an_observer_that_fails_is_dropped(
     assert len(caplog.records) == 1
 
 
-def test_waiting_for_workers_has_an_end(client: Any, folder: Path) -> None:
+def test_waiting_for_workers_times_out(client: Any, folder: Path) -> None:
     client.cluster.scale(0)
     while client.nthreads():
         time.sleep(0.02)
@@ -374,7 +370,7 @@ def test_waiting_for_workers_has_an_end(client: Any, folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_long_study_holds_the_endings_of_one_generation(folder: Path) -> None:
+def test_long_study_keeps_few_endings_in_memory(folder: Path) -> None:
     held = []
 
     class Hold(Observer):

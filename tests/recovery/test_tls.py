@@ -1,4 +1,4 @@
-"""`palpate certs`: scheduler, worker and client as plain processes know each other by TLS."""
+"""`palpate certs`: scheduler, worker and client processes authenticate each other by TLS."""
 
 import json
 import os
@@ -30,7 +30,7 @@ def certificates(tmp_path_factory: pytest.TempPathFactory) -> Certificates:
 
 
 def context(certificates: Certificates, role: str, purpose: ssl.Purpose) -> ssl.SSLContext:
-    """As strict as Python gets, but for the host name, which Dask does not look at."""
+    """Return Python's strictest context, except for the host name, which Dask does not check."""
     made = ssl.create_default_context(purpose, cafile=certificates.folder / "ca.pem")
     made.load_cert_chain(certificates.folder / f"{role}.pem", certificates.folder / f"{role}.key")
     made.check_hostname, made.verify_mode = False, ssl.CERT_REQUIRED
@@ -39,7 +39,7 @@ def context(certificates: Certificates, role: str, purpose: ssl.Purpose) -> ssl.
 
 
 @pytest.mark.parametrize("role", ROLES)
-def test_every_role_is_known_to_the_scheduler_and_back(
+def test_every_role_and_the_scheduler_authenticate_each_other(
     certificates: Certificates, role: str
 ) -> None:
     ours, theirs = socket.socketpair()
@@ -71,9 +71,7 @@ def test_keys_are_private_and_certificates_never_replaced(certificates: Certific
     assert (folder / "ca.pem").read_bytes() == before
 
 
-def test_the_command_prints_lines_for_a_shell(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_prints_shell_exports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["certs", str(tmp_path / "my tls"), "--days", "7"]) == 0
     lines = capsys.readouterr().out
     shown = subprocess.run(
@@ -89,7 +87,7 @@ def test_the_command_prints_lines_for_a_shell(
 
 
 def driver(folder: Path, address: str, environment: dict[str, str]) -> tuple[int, str]:
-    """Run a study by a driver in a process of its own."""
+    """Run a study with a driver in a separate process."""
     command = [sys.executable, str(HERE / "driver.py"), str(folder), "--scheduler", address]
     done = subprocess.run(
         command,
@@ -103,7 +101,7 @@ def driver(folder: Path, address: str, environment: dict[str, str]) -> tuple[int
 
 
 def is_served(port: int, tls: ssl.SSLContext) -> bool:
-    """Return whether the scheduler sends its greeting to somebody with these certificates."""
+    """Return True if the scheduler sends its greeting to a client with these certificates."""
     with socket.create_connection(("127.0.0.1", port), timeout=20) as plain:
         try:
             with tls.wrap_socket(plain) as encrypted:
@@ -112,7 +110,7 @@ def is_served(port: int, tls: ssl.SSLContext) -> bool:
             return False
 
 
-def test_a_study_runs_over_tls_and_strangers_are_refused(
+def test_study_runs_over_tls_and_rejects_unknown_clients(
     certificates: Certificates, tmp_path: Path
 ) -> None:
     run(tmp_path / "calm" / "demo", Inline())
@@ -127,7 +125,7 @@ def test_a_study_runs_over_tls_and_strangers_are_refused(
         assert not is_served(port, nobody)
         other = make_certificates(tmp_path / "other")
         stranger = context(other, "client", ssl.Purpose.SERVER_AUTH)
-        stranger.verify_mode = ssl.CERT_NONE  # it is the scheduler that has to refuse
+        stranger.verify_mode = ssl.CERT_NONE  # the scheduler has to refuse
         assert not is_served(port, stranger)
         with pytest.raises(ClusterError, match="needs certificates"), open_cluster(address):
             pass

@@ -1,4 +1,4 @@
-"""Workers killed with signal 9: finished evaluations are kept, unfinished ones asked for again."""
+"""Workers killed with signal 9: finished evaluations are kept, unfinished ones repeated."""
 
 import os
 import random
@@ -27,7 +27,7 @@ def test_five_workers_killed(tmp_path: Path) -> None:
             while len(killed) < 5 and not over.wait(chance.uniform(0.2, 0.6)):
                 pids = client.run(os.getpid, on_error="ignore").values()
                 alive = sorted(set(pids) - set(killed))
-                with suppress(ProcessLookupError):  # it may be going at this moment
+                with suppress(ProcessLookupError):  # it may already be ending
                     if alive:
                         os.kill(victim := chance.choice(alive), signal.SIGKILL)
                         killed.append(victim)

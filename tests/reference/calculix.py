@@ -1,11 +1,11 @@
-"""CalculiX (`ccx`) as a second opinion on a body of linear tetrahedra.
+"""CalculiX (`ccx`) as an independent solver for a body of linear tetrahedra.
 
 The body is neo-Hookean. CalculiX writes the law as
-``W = C10 (I1bar - 3) + (J - 1)^2 / D1`` (manual, *HYPERELASTIC), which is ours
-with C10 = mu / 2 and D1 = 2 / kappa. A C3D4 element has one integration point and
-no cure for locking: it is our plain element.
+``W = C10 (I1bar - 3) + (J - 1)^2 / D1`` (manual, *HYPERELASTIC), which equals ours with
+C10 = mu / 2 and D1 = 2 / kappa. A C3D4 element has one integration point and no remedy for
+locking, like our plain element.
 
-The deck keeps to fields of at most 20 characters, all that CalculiX reads.
+The deck uses fields of at most 20 characters, the most that CalculiX reads.
 """
 
 import shutil
@@ -22,7 +22,7 @@ from palpate.storage.values import FloatArray, IntArray, TetMesh, Triple
 
 GRAVITY_MM_PER_S2 = 9806.65
 # Out-of-balance force over the mean nodal force, and last correction over the
-# increment; CalculiX itself is content with 5e-3 and 1e-2.
+# increment; the defaults of CalculiX are 5e-3 and 1e-2.
 RESIDUAL, CORRECTION = 1e-6, 1e-5
 # Faces P1 to P4 of C3D4, as corners of the tetrahedron.
 FACES = ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))
@@ -30,7 +30,7 @@ FACES = ((0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0))
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A neo-Hookean solid in the elements `tets` (numbers of rows of the mesh)."""
+    """A neo-Hookean solid in the elements `tets` (row numbers of the mesh)."""
 
     tets: IntArray
     mu_mpa: float
@@ -49,10 +49,10 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """One spring a node, along an axis, to a rigid ground that moves by `ground_mm`.
+    """One spring per node, along an axis, to a rigid ground that moves by `ground_mm`.
 
-    With ``ground_mm = 0`` this is an elastic foundation. On a flat face it is a
-    frictionless plate with a penalty, as long as every spring is shortened.
+    With ``ground_mm = 0`` this is an elastic foundation. On a flat face it is a frictionless
+    plate with a penalty, as long as every spring is compressed.
     """
 
     nodes: IntArray
@@ -63,13 +63,13 @@ class Springs:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What CalculiX is asked.
+    """The model for CalculiX.
 
     Parameters
     ----------
     mesh : TetMesh
     materials : tuple of Material
-        Together they name every element once.
+        Each element belongs to exactly one material.
     held : tuple of Held
     springs : tuple of Springs
     forces_n : ndarray, shape (n, 3), optional
@@ -92,7 +92,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What CalculiX found.
+    """The solution of CalculiX.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Answer:
     ground_n : tuple of float
         Force that moves each ground, along the axis of its springs.
     seconds : float
-        Of the run of `ccx`, without writing and reading.
+        Run time of `ccx`, without writing and reading.
     """
 
     displacement_mm: FloatArray
@@ -109,20 +109,20 @@ class Answer:
 
 
 def available() -> bool:
-    """Whether `ccx` can be run."""
+    """Return True if `ccx` can be run."""
     return shutil.which("ccx") is not None
 
 
 def solve(body: Body, *, first_increment: float = 0.25, tight: bool = True) -> Answer:
-    """Equilibrium of the body.
+    """Return the equilibrium of the body.
 
     Parameters
     ----------
     body : Body
     first_increment : float
-        Part of the load that is tried first.
+        Initial fraction of the load.
     tight : bool
-        Iterate to `RESIDUAL` and `CORRECTION`, not to CalculiX's own tolerances.
+        Iterate to `RESIDUAL` and `CORRECTION` instead of CalculiX's own tolerances.
 
     Raises
     ------
@@ -147,7 +147,7 @@ def solve(body: Body, *, first_increment: float = 0.25, tight: bool = True) -> A
 
 
 def _nodes(body: Body) -> Iterator[str]:
-    """The nodes of the mesh, then one for each ground."""
+    """Yield the nodes of the mesh, then one for each ground."""
     yield "*NODE,NSET=ALL"
     for number, (x, y, z) in enumerate(body.mesh.nodes, 1):
         yield f"{number},{x:.12g},{y:.12g},{z:.12g}"
@@ -176,7 +176,7 @@ def _elements(body: Body) -> Iterator[str]:
 
 
 def _springs(body: Body) -> Iterator[str]:
-    """Springs of one stiffness share a card, because each card counts as a material."""
+    """Yield springs, one card for each stiffness, because each card counts as a material."""
     number = len(body.mesh.tets)
     for k, springs in enumerate(body.springs):
         stiffness, group = np.unique(springs.n_per_mm.round(12), return_inverse=True)
@@ -187,7 +187,7 @@ def _springs(body: Body) -> Iterator[str]:
                 yield f"{number},{_ground(body, k)},{node + 1}"
             yield f"*SPRING,ELSET=S{k}G{g}"
             yield f"{springs.axis + 1},{springs.axis + 1}"
-            # Without its decimal point it would be read as a degree of freedom.
+            # Without the decimal point it would be read as a degree of freedom.
             yield f"{n_per_mm:#.12g}"
 
 
@@ -230,7 +230,7 @@ def _loads(body: Body) -> Iterator[str]:
 
 
 def _element_faces(mesh: TetMesh, triangles: IntArray) -> Iterator[tuple[int, int]]:
-    """The element and the number of its face, for each triangle."""
+    """Return the element and its face number for each triangle."""
     owner = {
         frozenset(tet[list(corners)].tolist()): (e, face)
         for e, tet in enumerate(mesh.tets)
@@ -240,7 +240,7 @@ def _element_faces(mesh: TetMesh, triangles: IntArray) -> Iterator[tuple[int, in
 
 
 def _last_tables(path: Path, n: int) -> tuple[FloatArray, FloatArray]:
-    """Displacement and force at the end of the load, shape (n, 3) each, from a .dat file."""
+    """Return displacement and force at the final load, shape (n, 3) each, from a .dat file."""
     rows = [line.split() for line in path.read_text().splitlines()]
     numbers = np.array([row for row in rows if len(row) == 4 and row[0].isdigit()], dtype=float)
     tables = numbers[-2 * n :, 1:].reshape(2, n, 3)

@@ -1,6 +1,6 @@
-"""FElupe as a second opinion: tetrahedra, or hexahedra that do not lock, in pure Python.
+"""FElupe as an independent solver: tetrahedra, or locking-free hexahedra, in pure Python.
 
-Its `NeoHooke` is ``mu/2 (I1bar - 3) + kappa/2 (J - 1)^2``, our law.
+Its `NeoHooke` is ``mu/2 (I1bar - 3) + kappa/2 (J - 1)^2``, as in our law.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ TOLERANCE = 1e-10  # out-of-balance force over the force of the supports
 class Answer:
     """Displacement, (n, 3) in mm, and internal force of the body on each node, (n, 3) in N.
 
-    Where a node is held, the internal force is what its support and gravity exert.
+    At held nodes the internal force is exerted by the support and gravity.
     """
 
     displacement_mm: FloatArray
@@ -28,18 +28,18 @@ class Answer:
 def solve_tets(
     mesh: TetMesh, mu_mpa: FloatArray, kappa_mpa: FloatArray, held_mm: FloatArray, steps: int = 4
 ) -> Answer:
-    """Equilibrium of plain linear tetrahedra, the load applied in `steps`.
+    """Return the equilibrium of plain linear tetrahedra, with the load applied in `steps`.
 
     Parameters
     ----------
     mesh : TetMesh
     mu_mpa, kappa_mpa : ndarray, shape (m,)
     held_mm : ndarray, shape (n, 3)
-        Prescribed displacement; NaN where it is free.
+        Prescribed displacement; NaN if free.
     """
     region = felupe.RegionTetra(felupe.Mesh(mesh.nodes, mesh.tets, "tetra"))
     field = felupe.FieldContainer([felupe.Field(region, dim=3)])
-    # One point of integration, then the elements.
+    # Quadrature points first, then elements.
     law = felupe.NeoHooke(mu=mu_mpa[None], bulk=kappa_mpa[None])
     return _march(felupe.SolidBody(law, field), field, held_mm, (0.0, 0.0, 0.0), 0.0, steps)
 
@@ -53,7 +53,7 @@ def solve_hexahedra(
     density_t_per_mm3: float = 1e-9,
     steps: int = 4,
 ) -> Answer:
-    """Equilibrium of hexahedra with a pressure and a volume ratio of their own (Q1-P0)."""
+    """Return the equilibrium of hexahedra with separate pressure and volume ratio (Q1-P0)."""
     field = felupe.FieldContainer([felupe.Field(felupe.RegionHexahedron(mesh), dim=3)])
     law = felupe.NeoHooke(mu=mu_mpa)
     solid = felupe.SolidBodyNearlyIncompressible(law, field, bulk=kappa_mpa)

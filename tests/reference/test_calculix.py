@@ -1,8 +1,8 @@
-"""CalculiX and our plain elements find the same body, whatever loads it.
+"""Our plain elements against CalculiX under various loads.
 
-Our solver keeps a body that could drift in its place by springs of 5e-9 N/mm^4,
-which CalculiX is not told of: they must not be felt. Loads of the stiff body
-are scaled with its stiffness, so that it deforms as far as a soft one.
+Our solver prevents drift with springs of 5e-9 N/mm^4, which the CalculiX model lacks; their
+effect must be negligible. Loads of the stiff body are scaled with its stiffness, so that it
+deforms as much as a soft one.
 """
 
 import numpy as np
@@ -56,7 +56,7 @@ def wall(body: Block, *axes: int) -> tuple[Held, ...]:
 
 
 def plate(body: Block, at_mm: float, moved_mm: float) -> Springs:
-    """A plate on a face normal to y. The penalty counts the area of all free sides of a node."""
+    """Return a plate on a face normal to y; a node's penalty counts the area of all free sides."""
     free = [body.triangles(axis, at) for axis in (0, 1, 2) for at in (0.0, SIDE_MM)]
     del free[4]  # the chest wall
     area = body.areas_mm2(np.concatenate(free))
@@ -65,14 +65,14 @@ def plate(body: Block, at_mm: float, moved_mm: float) -> Springs:
 
 
 def assert_same(solution: Solution, answer: Answer, within_mm: float = 1e-4) -> None:
-    """The mean distance of the nodes, of bodies that move by millimetres."""
+    """Compare the mean distance of the nodes, for bodies that move by millimetres."""
     away = np.linalg.norm(solution.displacement_mm - answer.displacement_mm, axis=1)
     assert np.abs(answer.displacement_mm).max() > 3
     assert away.mean() < within_mm
     assert away.max() < 5 * within_mm
 
 
-def test_plates(soft: Block) -> None:
+def test_plates_match_calculix(soft: Block) -> None:
     solution = ours(soft, DistanceControl(0, 28), wall=Wall(held=(True, False, True)))
     answer = calculix(
         Body(
@@ -88,7 +88,7 @@ def test_plates(soft: Block) -> None:
     assert lower == pytest.approx(-upper, rel=1e-6)
 
 
-def test_gravity(stiff: Block) -> None:
+def test_gravity_matches_calculix(stiff: Block) -> None:
     g = (60.0, -150.0, 80.0)
     solution = ours(stiff, wall=CLAMPED, gravity_g=g)
     answer = calculix(Body(stiff.mesh, stiff.materials, wall(stiff, 0, 1, 2), gravity_g=g))
@@ -97,7 +97,7 @@ def test_gravity(stiff: Block) -> None:
     assert solution.outcome.wall_force_n == pytest.approx(-weight_n, rel=1e-4)
 
 
-def test_a_face_that_is_moved(stiff: Block) -> None:
+def test_moved_face_matches_calculix(stiff: Block) -> None:
     moved = (4.0, -6.0, 2.0)
     off_wall = Box((-1, SIDE_MM - 1e-3, 1e-3), TOP.upper_mm)
     solution = ours(stiff, wall=CLAMPED, holds=(Hold(off_wall, moved),))
@@ -107,7 +107,7 @@ def test_a_face_that_is_moved(stiff: Block) -> None:
     assert_same(solution, answer)
 
 
-def test_pressure_follows_the_surface(stiff: Block) -> None:
+def test_follower_pressure_matches_calculix(stiff: Block) -> None:
     solution = ours(stiff, wall=CLAMPED, pressures=(Pressure(0.06, TOP),))
     answer = calculix(
         Body(
@@ -121,7 +121,7 @@ def test_pressure_follows_the_surface(stiff: Block) -> None:
     assert_same(solution, answer)
 
 
-def test_a_force_and_an_elastic_wall(stiff: Block) -> None:
+def test_force_and_elastic_wall_match_calculix(stiff: Block) -> None:
     force, foundation = np.array([60.0, -90.0, 150.0]), (0.08, 0.12, 0.16)
     solution = ours(
         stiff,

@@ -1,7 +1,7 @@
-"""CalculiX solves an exported deck and finds our body again, node by node.
+"""Exported decks solved by CalculiX, against our solution node by node.
 
-The deck has the textbook's element, so ours is solved with it too; see
-`service.export.solver_model` for that and for what stands in for the plates.
+The deck has standard elements, so ours is also solved with them; see
+`service.export.solver_model` for that and for the replacement of the plates.
 """
 
 import shutil
@@ -39,7 +39,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def away_mm(body: SolvedBody, folder: Path) -> FloatArray:
-    """Distance between our nodes and those of CalculiX, which runs the exported deck."""
+    """Return the distances between our nodes and those of CalculiX for the exported deck."""
     deck = folder / "body.inp"
     export_solved([deck], body)
     done = subprocess.run(
@@ -57,8 +57,8 @@ def away_mm(body: SolvedBody, folder: Path) -> FloatArray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fibres", [True, False])
-def test_the_body_of_the_demo(store: str, tmp_path: Path, fibres: bool) -> None:
-    """Measured: 0.0005 mm in the mean, with and without fibres, where it moves by 36 mm."""
+def test_demo_body_matches_calculix(store: str, tmp_path: Path, fibres: bool) -> None:
+    """Measured: 0.0005 mm on average, with and without fibres; it moves by 36 mm."""
     spec = read_spec(DEMO)
     constants = spec.constants_of(spec.target.constants or {})
     constants |= {} if fibres else {"eta_fat": 0.0, "eta_glandular": 0.0}
@@ -86,7 +86,7 @@ def test_the_body_of_the_demo(store: str, tmp_path: Path, fibres: bool) -> None:
         ),
     ],
 )
-def test_what_a_deck_can_say(
+def test_exported_features_match_calculix(
     store: str, tmp_path: Path, constants: dict[str, float], also: dict[str, Any]
 ) -> None:
     body = solve_body(SMALL | also, CONSTANTS | constants, store, "small")

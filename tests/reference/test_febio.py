@@ -1,7 +1,7 @@
-"""The half ellipsoid of ../shared/reference/febio, solved there by FEBio 4.11 (TET4).
+"""The half ellipsoid in ../shared/reference/febio, solved by FEBio 4.11 (TET4).
 
-FEBio lets the plates in by 0.05-0.34 mm, ours by 0.04: with the same element that is
-what remains between the two.
+FEBio's plates penetrate by 0.05-0.34 mm, ours by 0.04 mm: with the same element this is the
+remaining difference.
 """
 
 from pathlib import Path
@@ -37,7 +37,7 @@ FIBRES = {
 INF = float("inf")
 
 pytestmark = pytest.mark.skipif(
-    not CASES.is_dir(), reason="the reference solutions of FEBio are not beside the project"
+    not CASES.is_dir(), reason="the reference solutions of FEBio are not next to the project"
 )
 
 
@@ -47,7 +47,7 @@ def case(name: str):
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    """FEBio's own mesh, with coarser levels of ours below it."""
+    """FEBio's own mesh, with our coarser levels below it."""
     found = case("nhF100")
     mesh = TetMesh(found["nodes"].astype(float), found["tets"].astype(np.int32))
     coarse = build_hierarchy(half_ellipsoid(), nodes=1500)
@@ -76,7 +76,7 @@ def half_ellipsoid() -> Volume:
     return Volume(inside.astype(np.uint8), (2.0, 2.0, 2.0), (x[0], y[0], z[0]))
 
 
-# The reference pins the nodes at the lower plate, along x and y.
+# The reference pins the nodes at the lower plate along x and y.
 PINNED = Hold(Box((-INF, -INF, -INF), (INF, -49.5, INF)), axes=(True, True, False))
 FORCE = ForceControl(100, -50, 50)
 TILTED = Device(pivot_mm=(0, 0, 25), upper=Plate(tilt_deg=(3.0, 0.0)))
@@ -122,8 +122,8 @@ def test_displacement_control_with_the_same_element(model, name, distance_mm, co
     assert mean_mm(solution.displacement_mm - case(name)["displacement"]) < 0.1
 
 
-def test_gravity_moves_the_body_as_there(model):
-    """The effect itself: 0.13 mm, met within 0.0006 mm; CalculiX and FEBio differ by 0.0003."""
+def test_gravity_matches_febio(model):
+    """The effect is 0.13 mm, matched within 0.0006 mm; CalculiX and FEBio differ by 0.0003."""
     without = solve(model, problem(NEO_HOOKEAN, FORCE)).displacement_mm
     pulled = problem(NEO_HOOKEAN, FORCE, gravity_g=(0, 0, 9810 / 9806.65))
     ours = solve(model, pulled).displacement_mm - without
@@ -132,8 +132,8 @@ def test_gravity_moves_the_body_as_there(model):
     assert mean_mm(ours - theirs) < 0.002
 
 
-def test_the_nodal_average_unlocks(model):
-    """Linear tetrahedra lock by 0.1-3 % at nu = 0.49: unlocked, the plate goes farther."""
+def test_nodal_average_reduces_locking(model):
+    """Linear tetrahedra lock by 0.1-3 % at nu = 0.49: unlocked, the plate moves further."""
     plain = solve(model, Problem(NEO_HOOKEAN, FORCE, plain_elements=True)).outcome
     averaged = solve(model, Problem(NEO_HOOKEAN, FORCE)).outcome
     ratio = averaged.plate_displacement_mm / plain.plate_displacement_mm

@@ -1,8 +1,8 @@
-"""A curved body pressed by our plates is in equilibrium for FElupe too.
+"""A curved body between plates, against FElupe.
 
-FElupe is told where our plates hold the nodes that they touch, and nothing else
-of our solution. It must then find the same body, and the same force on every one
-of these nodes: penetration times penalty times area.
+FElupe gets only the positions at which our plates hold the touching nodes. It must then find
+the same body, and the same force on each of these nodes: penetration times penalty times
+area.
 """
 
 import numpy as np
@@ -35,7 +35,7 @@ def model(hierarchy: Hierarchy) -> Model:
 
 
 def depth_mm(y: np.ndarray) -> np.ndarray:
-    """How deep points are inside the upper plate, and negative inside the lower one."""
+    """Return the depth of points inside the upper plate, negative inside the lower one."""
     return np.maximum(y - UPPER_MM, 0) - np.maximum(LOWER_MM - y, 0)
 
 
@@ -45,7 +45,7 @@ def nodal_areas_mm2(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.bincount(triangles.ravel(), np.repeat(share, 3), len(nodes))
 
 
-def test_a_curved_body_between_plates(hierarchy: Hierarchy, model: Model) -> None:
+def test_curved_body_between_plates_matches_felupe(hierarchy: Hierarchy, model: Model) -> None:
     finest = hierarchy.finest
     mesh, tissue = finest.mesh, finest.fractions.argmax(axis=1)
     problem = Problem(

@@ -1,8 +1,8 @@
-"""What our default element converges to, and how fast.
+"""Convergence of our default element: its limit and its order.
 
-No other program has our nodal average. With the mesh its answer must tend to that
-of elements of another kind which do not lock either, at the order of linear
-elements: 2 in the displacement of a smooth solution, and in the energy.
+No other program has our nodal average. With mesh refinement its solution must tend to that of
+other locking-free elements, at the order of linear elements: 2 in the displacement of a smooth
+solution, and in the energy.
 """
 
 import numpy as np
@@ -28,12 +28,12 @@ NODES = (800, 2400, 7200)
 
 
 def order(size: FloatArray, error: FloatArray) -> float:
-    """ScanJacobian of log error over log size, by least squares."""
+    """Return the slope of log error over log size, by least squares."""
     return float(np.polyfit(np.log(size), np.log(error), 1)[0])
 
 
 def slumped() -> list[tuple[FloatArray, FloatArray]]:
-    """A block under its weight on a slippery floor: nodes and displacement of each mesh."""
+    """Solve a block under its weight on a slippery floor; nodes and displacement of each mesh."""
     problem = Problem(
         {Tissue.FAT: TISSUE},
         NoPlates(),
@@ -57,7 +57,7 @@ def slumped() -> list[tuple[FloatArray, FloatArray]]:
 
 
 def slumped_hexahedra(cells: int) -> tuple[FloatArray, FloatArray]:
-    """The same by FElupe's hexahedra with a pressure of their own."""
+    """Solve the same block with FElupe's hexahedra with separate pressure."""
     felupe = pytest.importorskip("felupe", reason="FElupe is not installed (pip install felupe)")
     from tests.reference.felupe_body import solve_hexahedra
 
@@ -71,7 +71,7 @@ def slumped_hexahedra(cells: int) -> tuple[FloatArray, FloatArray]:
 
 
 def at_coarsest(nodes: FloatArray, moved: FloatArray) -> FloatArray:
-    """Displacement at the nodes that all meshes share, in one order and without drift along x."""
+    """Return the displacement at the nodes shared by all meshes, sorted, without drift along x."""
     steps = nodes * CELLS[0] / SIDE_MM
     shared = np.flatnonzero((np.abs(steps - steps.round()) < 1e-6).all(axis=1))
     moved = moved[shared[np.lexsort(steps[shared].round().T)]]
@@ -79,8 +79,8 @@ def at_coarsest(nodes: FloatArray, moved: FloatArray) -> FloatArray:
 
 
 @pytest.mark.slow
-def test_a_smooth_displacement_tends_to_that_of_mixed_hexahedra() -> None:
-    """Their own error falls with the square of the cell size and is extrapolated away."""
+def test_smooth_displacement_converges_to_mixed_hexahedra() -> None:
+    """Their own error falls with the square of the cell size and is extrapolated."""
     coarse, fine = (at_coarsest(*slumped_hexahedra(cells)) for cells in (6, 9))
     truth = fine + (fine - coarse) / ((9 / 6) ** 2 - 1)
     error = np.array(
@@ -93,7 +93,7 @@ def test_a_smooth_displacement_tends_to_that_of_mixed_hexahedra() -> None:
 
 
 def pressed(nodes: int) -> Solution:
-    """A half ellipsoid of one tissue under 15 N."""
+    """Solve a half ellipsoid of one tissue under 15 N."""
     model = prepare(build_hierarchy(half_ellipsoid(core=0.0), nodes=nodes))
     solution = solve(
         model, Problem({Tissue.FAT: Constants(0.01)}, ForceControl(15, -30, 30), tolerance_mm=1e-4)
@@ -104,7 +104,7 @@ def pressed(nodes: int) -> Solution:
 
 @pytest.mark.slow
 def test_plate_and_energy_of_a_curved_body_converge() -> None:
-    """Meshes that are not nested, contact that grows with the load."""
+    """The meshes are not nested, and the contact area grows with the load."""
     *coarser, finest = (pressed(nodes) for nodes in (*NODES, 3 * NODES[-1]))
     size = np.array([len(s.displacement_mm) for s in coarser]) ** (-1 / 3)
     travel, energy = (

@@ -1,4 +1,4 @@
-"""Bad files of every kind through the command line: each must end in one message, exit code 2."""
+"""Bad files of every kind on the command line: each must give one message and exit code 2."""
 
 import os
 import re
@@ -61,10 +61,10 @@ class BadFile:
     Parameters
     ----------
     kind : str
-        Of the reader.
+        The reader.
     name : str
     prepare : callable
-        Writes it into a folder; returns the arguments of the command.
+        Writes the file into a folder and returns the arguments of the command.
     """
 
     kind: str
@@ -172,7 +172,7 @@ def command(one: Seed, path: Path) -> list[str]:
 
 
 def outcome(bad: BadFile, folder: Path) -> Outcome:
-    """Run the command of one bad input in a child process."""
+    """Run the command for one bad input in a child process."""
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "work").mkdir(parents=True)
     with_secret(folder / "work")
@@ -187,7 +187,7 @@ def outcome(bad: BadFile, folder: Path) -> Outcome:
 
 
 class Ended:
-    """The exit code of a command, in the form that `outcome_of` shows."""
+    """The exit code of a command, in the form expected by `outcome_of`."""
 
     class values:  # noqa: N801
         shape = 0

@@ -1,10 +1,10 @@
-"""Feed one reader with damaged files for a while.
+"""Fuzz one reader with damaged files for a given time.
 
 ::
 
     python -m tests.robustness.fuzz NRRD --seconds 600 --seed 1
 
-Prints the number of inputs, how many were refused, and each failure once, by its last line.
+Prints the number of inputs, the number of refusals, and each failure once, by its last line.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from tests.robustness.seeds import SEEDS, Seed
 
 
 def fuzz(reader: str, seconds: float, seed: int) -> tuple[Counter[str], dict[str, Path]]:
-    """Return how often each outcome was met, and an example of each failure."""
+    """Return the count of each outcome, and an example of each failure."""
     random = np.random.default_rng([seed, *reader.encode()])
     seeds = [one for one in SEEDS if one.reader == reader]
     counts: Counter[str] = Counter()
@@ -68,7 +68,7 @@ def _name(found: Outcome) -> str:
 
 
 def main() -> None:
-    """Fuzz the reader that is named."""
+    """Fuzz the reader given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("reader", choices=sorted({one.reader for one in SEEDS}))
     parser.add_argument("--seconds", type=float, default=600.0)

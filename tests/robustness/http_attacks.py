@@ -1,4 +1,4 @@
-"""Attacks on a running service: each must be refused with a reason, and the service answers."""
+"""Attacks on a running service: each must be refused with a reason, and the service survives."""
 
 import base64
 import http.client
@@ -72,7 +72,7 @@ Check = Callable[[ServiceProcess], str]
 
 
 def attacks() -> Iterator[tuple[str, Check]]:
-    """Yield names and checks, which return why one failed, or an empty text."""
+    """Yield names and checks; a check returns the reason of a failure, or an empty text."""
     for method in ("GET", "PUT", "DELETE"):
         for path in PATHS:
             for up in UP:
@@ -198,7 +198,7 @@ def _half_open(service: ServiceProcess) -> str:
 
 
 def _healthy(service: ServiceProcess) -> str:
-    """Return what is wrong with /health; a slow answer counts when the next one is slow, too."""
+    """Return a failure of /health; a slow answer counts only if the next one is slow, too."""
     took = 0.0
     for _ in range(3):
         began = time.monotonic()
@@ -213,7 +213,7 @@ def _healthy(service: ServiceProcess) -> str:
 
 
 def run(folder: Path, log: Callable[[str], object]) -> dict[str, str]:
-    """Attack one service with everything and return what failed."""
+    """Run all attacks on one service and return the failures."""
     found: dict[str, str] = {}
     folder.mkdir(parents=True)
     (folder / "secret.txt").write_text(SECRET)
@@ -226,5 +226,5 @@ def run(folder: Path, log: Callable[[str], object]) -> dict[str, str]:
 
 
 def jobs_of(service: ServiceProcess) -> Any:
-    """Return the jobs that a service lists."""
+    """Return the jobs listed by a service."""
     return json.loads(httpx.get(f"{service.url}{API}/jobs", headers=SIGNED).content)["jobs"]

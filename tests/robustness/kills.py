@@ -1,4 +1,4 @@
-"""Kill a service at random moments of an upload and a study, and start it again."""
+"""Kills of a service at random moments of an upload and a study, with restarts."""
 
 import random
 import threading
@@ -17,7 +17,7 @@ from tests.service.server.service_process import ServiceProcess
 
 
 def run(seed: int, count: int, folder: Path, log: Callable[[str], object]) -> dict[str, str]:
-    """Kill a service so often and return what was wrong after which kill."""
+    """Kill a service `count` times and return the failures by kill."""
     draw = random.Random(seed)
     folder.mkdir(parents=True)
     served = ServiceProcess(folder / "runs", ["--workers", "1"]).start()
@@ -54,7 +54,7 @@ def _upload(served: ServiceProcess, number: int) -> None:
 
 
 def _wrong(served: ServiceProcess) -> str:
-    """Return what a service that was killed has left in disorder."""
+    """Return a description of the disorder left by a killed service."""
     uploads = served.home / ".service" / "uploads"
     half = [path.name for path in uploads.rglob(".tmp-*")]
     sizes = {path.stat().st_size for path in uploads.rglob("*.csv")}

@@ -1,4 +1,4 @@
-"""Damages to the bytes of a valid file, drawn from a generator of random numbers."""
+"""Random damage to the bytes of a valid file."""
 
 import re
 from collections.abc import Callable
@@ -88,7 +88,7 @@ MOST_BYTES = 2**22
 
 
 def damaged(data: bytes, random: Random) -> bytes:
-    """Return data with one to three damages."""
+    """Return data with one to three random damages."""
     for _ in range(int(random.integers(1, 4))):
         data = DAMAGES[int(random.integers(0, len(DAMAGES)))](data, random)[:MOST_BYTES]
     return data

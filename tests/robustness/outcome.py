@@ -1,4 +1,4 @@
-"""Reads one file in a child process and says what came of it."""
+"""Reading one file in a child process, and its outcome."""
 
 import os
 import resource
@@ -18,7 +18,7 @@ SECRET = "a-secret-beside-the-input"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one input.
+    """The outcome of one input.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class Outcome:
     text : str
         The message, or a traceback.
     mib : float
-        Largest resident memory, with that of the interpreter.
+        Peak resident memory, including that of the interpreter.
     seconds : float
     """
 
@@ -38,7 +38,7 @@ class Outcome:
 
     @property
     def is_bad(self) -> bool:
-        """Whether this must not happen."""
+        """Return True if this is a failure."""
         return (
             self.kind not in ("refused", "read")
             or SECRET in self.text
@@ -50,7 +50,7 @@ class Outcome:
 
 
 def outcome_of(read: Callable[[], object]) -> Outcome:
-    """Call `read` in a copy of this process, within limits of time and memory."""
+    """Call `read` in a fork of this process, with limits on time and memory."""
     receive, send = os.pipe()
     began = time.monotonic()
     child = os.fork()
@@ -92,6 +92,6 @@ def _facts(found: object) -> str:
 
 
 def with_secret(folder: Path) -> None:
-    """Put a file beside the input that must not be read."""
+    """Write a file next to the input that must not be read."""
     for place in (folder, folder.parent):
         (place / "secret.txt").write_text(SECRET)

@@ -1,4 +1,4 @@
-"""Bad inputs, attacks over HTTP and kills; prints a table, and ends with 1 if any went wrong.
+"""Bad inputs, attacks over HTTP and kills; prints a table and exits with 1 after a failure.
 
 ::
 
@@ -52,7 +52,7 @@ def _files(seed: int, folder: Path) -> int:
 
 
 def _rows(what: str, results: dict[str, str]) -> int:
-    """Print how many of some checks held; the value of one that did not says why."""
+    """Print how many checks passed; the values of failed ones are their reasons."""
     failed = {name: why for name, why in results.items() if why}
     print(f"| {what} | {len(results)} tried | {len(failed)} failed |")  # noqa: T201
     return len(failed)

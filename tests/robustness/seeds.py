@@ -1,4 +1,4 @@
-"""Valid files of every kind, from which damaged ones are made, and how each is read."""
+"""Valid files of every kind, the basis of damaged ones, and their readers."""
 
 import hashlib
 import io
@@ -54,11 +54,11 @@ class Seed:
     reader : str
         Name of its reader, for tables.
     name : str
-        Of the file.
+        Name of the file.
     make : callable
-        From the path to write to.
+        Writes the file to a path.
     read : callable
-        Reads the file at a path as Palpate does.
+        Reads the file at a path, as Palpate does.
     """
 
     reader: str
@@ -76,7 +76,7 @@ def labels() -> np.ndarray:
 
 
 def volume(path: Path) -> object:
-    """Read an image; spacing is given where the format has none."""
+    """Read an image; spacing is given if the format has none."""
     stated = path.name.endswith((".npy", ".tif"))
     return read_volume(path, spacing_mm=UNIT if stated else None)
 
@@ -124,7 +124,7 @@ def dicom_segmentation(path: Path) -> None:
 
 
 def dicom_slice(path: Path) -> None:
-    """Write the second of two slices; the first one beside it stays whole."""
+    """Write the second of two slices; the first one next to it stays intact."""
     uids = generate_uid(entropy_srcs=["series"])
     for z, place in enumerate((path.with_name("whole.dcm"), path)):
         image = _dicom(CTImageStorage, (14, 16), 16)
@@ -171,14 +171,14 @@ def surface_file(path: Path) -> None:
 
 
 def experiment_with(path: Path, changed: str) -> None:
-    """Write an experiment, of which one file is damaged afterwards."""
+    """Write an experiment, one file of which is damaged afterwards."""
     write(path.parent, described())
     if changed == "a.csv":
         path.write_text(text_of(rows()))
 
 
 def archive_file(path: Path) -> None:
-    """Write what looks like an archive of a study."""
+    """Write a file that looks like an archive of a study."""
     sha256 = {"study/study.yaml": hashlib.sha256(STUDY.encode()).hexdigest()}
     manifest = {"schema_version": 1, "study": "demo", "sha256": sha256}
     with tarfile.open(path, "w") as tar:

@@ -1,4 +1,4 @@
-"""Writes what a diagnosis said of a case: words and numbers as JSON, points as arrays."""
+"""Answers of a diagnosis to a case: text and numbers as JSON, points as arrays."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ from palpate.workers.tasks.diagnosis_store import (
     SensitivityRecord,
 )
 
-# What a score needs of the maps. Those with "after" are there where an effect is accused.
+# Maps needed for a score. Those with "after" exist only if an effect is accused.
 KEPT = (
     "points",
     "interface",
@@ -40,14 +40,14 @@ KEPT = (
 
 @dataclass(frozen=True, slots=True)
 class Baselines:
-    """What simpler rules would go by, for each effect; see `service.blind.answering.baselines`.
+    """Inputs of the simpler rules, by effect; see `service.blind.answering.baselines`.
 
     Parameters
     ----------
     raw_correlation : mapping of str to float
-        Of its columns with the residuals, without projection.
+        Correlation of its columns with the residuals, without projection.
     refit_left_mm : mapping of str to float
-        Root mean square residual that its joint fit leaves.
+        Root mean square residual after its joint fit.
     """
 
     raw_correlation: Mapping[str, float]
@@ -56,21 +56,21 @@ class Baselines:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a diagnosis said of a case.
+    """The answer of a diagnosis to a case.
 
     Parameters
     ----------
     id : str
-        Of the case.
+        Identifier of the case.
     code : str
-        Digest of the source that found it.
+        Digest of the diagnosing source.
     scans : tuple of str
         Names of the loaded scans.
     summary : Summary
     baselines : Baselines
     centre_mm : tuple of float or None
-        Middle of the body, from which places count; None in answers of earlier versions that
-        fitted no lump.
+        Middle of the body, the origin of fitted positions; None in answers of earlier
+        versions that fitted no lump.
     """
 
     id: str
@@ -89,25 +89,25 @@ def write_answer(
     diagnosis: FinishedDiagnosis,
     code: str,
 ) -> None:
-    """Keep what was found; the JSON is written last, so what has one is whole.
+    """Write an answer; the JSON is written last, so an answer with a JSON file is complete.
 
     Parameters
     ----------
     name : str
-        Of the case.
+        Name of the case.
     request : DiagnosisRequest
-        Of the diagnosis, whose parts the store still has.
+        Request of the diagnosis, whose parts are still in the store.
     code : str
-        Digest of the source that found it.
+        Digest of the diagnosing source.
 
     Raises
     ------
     StoreError
-        If it cannot be written.
+        If the answer cannot be written.
     """
     store, maps = DiagnosisStore(request), diagnosis.maps
     arrays: Any = {key: maps[key] for key in KEPT if key in maps}
-    # What the mesh adds, which the diagnosis takes off its residuals.
+    # The mesh error, which the diagnosis subtracts from its residuals.
     _, calibrated = store.calibration.load(CalibrationRecord)
     arrays["bias"] = calibrated["bias"].reshape(maps["before"].shape)
     arrays["pressed"] = calibrated["noise_pressed"]
@@ -124,7 +124,7 @@ def write_answer(
 def write_failure(
     blind: BlindSet, name: str, directions: Directions, reason: str, code: str
 ) -> None:
-    """Keep that a case could not be diagnosed, and why: it counts as answered wrongly."""
+    """Write the reason of a failed diagnosis, which counts as a wrong answer."""
     folder = blind.answers(directions)
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -139,14 +139,14 @@ def seal_answers(
     diagnosis: FrozenDiagnosis,
     reason: str | None,
 ) -> str:
-    """Write the hashes of all answers; the hash of that file.
+    """Write the hashes of all answers, and return the hash of that file.
 
     Parameters
     ----------
     diagnosis : FrozenDiagnosis
-        As it answered, see `service.blind.sealed.sealed_settings`.
+        The answering diagnosis, see `service.blind.sealed.sealed_settings`.
     reason : str or None
-        Why it is not the one that the manifest names.
+        Why it differs from the one in the manifest.
     """
     record = {
         "manifest": file_hash(blind.manifest),

@@ -1,15 +1,15 @@
-"""Names a cause in simpler ways, which a diagnosis has to beat.
+"""Simple rules for naming a cause, as baselines for the diagnosis.
 
-1. The largest raw correlation: the effect one of whose fingerprints is most nearly parallel
-   to the residuals of the nominal model, at any place; nothing is whitened, and what the
-   constants would hide is not projected out.
+1. The largest raw correlation: the effect with the fingerprint most nearly parallel to the
+   residuals of the nominal model, at any place; nothing is whitened, and directions that the
+   constants could hide are not projected out.
 2. One refit at a time: the single effect that leaves the smallest distance between model and
-   image when it is fitted together with the constants, however many parameters it takes.
+   image when fitted together with the constants, regardless of its number of parameters.
 3. Chance: any effect of the catalogue.
 
-The first two always accuse somebody. So that like is compared with like, they are also scored with
-a threshold below which they stay silent: on bodies that lack nothing they then raise as many
-alarms as the diagnosis does.
+The first two always accuse an effect. For a fair comparison they are also scored with a
+threshold below which they stay silent, chosen to raise as many false alarms as the diagnosis on
+bodies without a missing effect.
 """
 
 from collections.abc import Mapping, Sequence
@@ -32,7 +32,7 @@ def raw_correlation(columns: FloatArray, residual: FloatArray) -> float:
     Returns
     -------
     float
-        From 0 to 1; 0 where nothing differs or nothing would change.
+        From 0 to 1; 0 if the residual or all columns vanish.
     """
     length = np.linalg.norm(columns, axis=-2) * np.linalg.norm(residual)
     along = np.abs(np.einsum("...mq,m->...q", columns, residual))
@@ -56,12 +56,12 @@ def closest(left_mm: Mapping[str, float]) -> str | None:
 
 
 def improvement(left_mm: Mapping[str, float], before_mm: float) -> float:
-    """Return how loudly the second baseline accuses: the ln of what its refit takes off.
+    """Return the second baseline's evidence: the log of the reduction by its best refit.
 
     Parameters
     ----------
     left_mm : mapping of str to float
-        As for `closest`.
+        As in `closest`.
     before_mm : float
         Root mean square residual of the nominal model.
     """
@@ -70,14 +70,14 @@ def improvement(left_mm: Mapping[str, float], before_mm: float) -> float:
 
 
 def threshold(silent: Sequence[float], alarms: int) -> float:
-    """Return what a baseline must exceed to accuse.
+    """Return the evidence that a baseline must exceed to accuse an effect.
 
     Parameters
     ----------
     silent : sequence of float
-        How loudly it accuses on each body that lacks nothing.
+        Its evidence on each body without a missing effect.
     alarms : int
-        So many of them may be accused; more only where several are equally loud.
+        Number of these that may be accused; more only in case of ties.
     """
     ranked = sorted(silent, reverse=True)
     return ranked[alarms] if alarms < len(ranked) else -np.inf

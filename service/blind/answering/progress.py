@@ -1,4 +1,4 @@
-"""Shows how far a set is: a bar on a terminal, a line now and then elsewhere."""
+"""Progress of a set: a bar on a terminal, occasional lines elsewhere."""
 
 import time
 
@@ -11,15 +11,15 @@ LINE_EVERY_S = 10.0
 
 
 class SetProgress:
-    """Counts cases on standard error.
+    """Progress bar for cases, on standard error.
 
     Parameters
     ----------
     console : rich.console.Console
     what : str
-        Is done to the cases: "made".
+        The operation, such as "made".
     done, of : int
-        Cases.
+        Numbers of cases.
     """
 
     def __init__(self, console: Console, what: str, done: int, of: int) -> None:
@@ -43,7 +43,7 @@ class SetProgress:
             self._bar.stop()
 
     def __call__(self, note: str = "") -> None:
-        """Count one case more; a note is a line of its own."""
+        """Count one more case; a note is printed on a separate line."""
         self.done += 1
         if self._bar is not None:
             self._bar.update(self._task, completed=self.done)

@@ -1,7 +1,7 @@
-"""Has the diagnosis answer a sealed set, one worker a case, and seals the answers.
+"""Diagnosis of a sealed set, one worker per case, and sealing of the answers.
 
-The diagnosis is told the folder of a case and nothing else. Where fewer cases are left
-than half of the workers, the rest is done one case after the other by all of them.
+The diagnosis receives only the folder of a case. When fewer cases are left than half of the
+workers, all workers diagnose the remaining cases one at a time.
 """
 
 import shutil
@@ -32,21 +32,21 @@ Tell = Callable[[str], object]
 
 @dataclass(frozen=True)
 class Answering:
-    """How a set is answered.
+    """Settings for answering a set.
 
     Parameters
     ----------
     blind : BlindSet
     store : str or Path
-        Which all workers see.
+        A store shared by all workers.
     directions : {"all", "y"}
-        Scans that the diagnosis is given: all, or those pressed along y.
+        Scans given to the diagnosis: all, or those pressed along y.
     nodes : int
-        Of the mesh.
+        Number of nodes of the mesh.
     limit : int or None
-        Most cases to answer in this call.
+        Maximum number of cases to answer in this call.
     declared : str or None
-        Why the diagnosis is not the one that was sealed.
+        Why the diagnosis differs from the sealed one.
     """
 
     blind: BlindSet
@@ -58,13 +58,13 @@ class Answering:
 
 
 def unanswered(answering: Answering) -> list[str]:
-    """Check that the set is as sealed, and which cases wait for an answer.
+    """Check the seals of the set, and return the cases without an answer.
 
     Raises
     ------
     InputError
-        If a case has changed, or the diagnosis has and nobody says why, or there are
-        answers of other code.
+        If a case has changed, the diagnosis has changed without a declared reason, or there
+        are answers from other code.
     """
     blind = answering.blind
     manifest = read_manifest(blind)
@@ -74,39 +74,39 @@ def unanswered(answering: Answering) -> list[str]:
     if changed and not answering.declared:
         raise InputError(
             f"The diagnosis is not the one that {blind.manifest} was sealed against: "
-            f"{', '.join(changed)} changed. Answer with that one, make a new set, or say why "
-            'with --declare "..."; the score repeats it.'
+            f"{', '.join(changed)} changed. Answer with that one, make a new set, or give a reason "
+            'with --declare "...", which the score repeats.'
         )
     names = sorted(manifest["cases"])
     answered = [n for n in names if blind.answer(n, answering.directions).is_file()]
     others = [n for n in answered if _code(answering, n) != now.code]
     if others:
         raise InputError(
-            f"{blind.answers(answering.directions)} has answers of other code: "
+            f"{blind.answers(answering.directions)} has answers from other code: "
             f"{', '.join(others)}. "
-            "Answer a set with one version: go back to that one, or remove these answers."
+            "Answer a set with one version: return to that one, or remove these answers."
         )
     return [n for n in names if n not in answered]
 
 
 def answer(answering: Answering, names: Sequence[str], dispatcher: Dispatcher, tell: Tell) -> None:
-    """Diagnose cases and keep the answers.
+    """Diagnose cases and write the answers.
 
     Parameters
     ----------
     names : sequence of str
-        See `unanswered`; only so many as the limit says are answered.
+        As returned by `unanswered`; the limit applies.
     tell : callable
-        Told of each case: empty, or why it failed.
+        Called for each case with an empty text, or the reason of its failure.
 
     Raises
     ------
     StoreError
         If the store or the set cannot be written.
     ClusterError
-        If the workers cannot do the work; what is answered is kept.
+        If the workers cannot do the work; completed answers are kept.
     Interrupted
-        If the dispatcher is told to stop.
+        If the dispatcher is stopped.
     """
     chosen = list(names[: answering.limit])
     workers = max(1, dispatcher.threads)
@@ -124,7 +124,7 @@ def answer(answering: Answering, names: Sequence[str], dispatcher: Dispatcher, t
 
 
 def seal(answering: Answering) -> str | None:
-    """Seal the answers if all are there; the hash of the seal, or None."""
+    """Seal the answers if they are complete, and return the hash of the seal, or None."""
     if unanswered(answering):
         return None
     path = answering.blind.sealed_answers(answering.directions)
@@ -139,7 +139,7 @@ def seal(answering: Answering) -> str | None:
 
 
 def request_of(answering: Answering, name: str) -> DiagnosisRequest:
-    """Return what is asked of the diagnosis: the folder of a case, or of its scans along y.
+    """Return the request of the diagnosis: the folder of a case, or of its scans along y.
 
     Raises
     ------
@@ -151,20 +151,20 @@ def request_of(answering: Answering, name: str) -> DiagnosisRequest:
     folder = answering.blind.case(name)
     if answering.directions == "y":
         root = open_store(answering.store).root
-        copies = root if isinstance(root, Path) else answering.blind.root  # a bucket has no folders
+        copies = root if isinstance(root, Path) else answering.blind.root  # buckets lack folders
         folder = along_y(folder, copies / "along-y" / name)
     return request_for(folder, answering.store, answering.nodes)
 
 
 def along_y(case: Path, copy: Path) -> Path:
-    """Copy a case without the scans that are pressed along another axis than y.
+    """Copy a case without the scans that are pressed along an axis other than y.
 
     Raises
     ------
     InputError
-        If none is left.
+        If no scan is left.
     StoreError
-        If it cannot be written.
+        If the copy cannot be written.
     """
     said = read_case_settings(case)
     scans = said["scans"]
@@ -183,7 +183,7 @@ def along_y(case: Path, copy: Path) -> Path:
 def _whole(
     answering: Answering, names: Sequence[str], dispatcher: Dispatcher
 ) -> Iterator[tuple[str, DiagnosisRequest | None, str]]:
-    """Return cases in order of arrival: the name, what was asked, and why it failed if it did."""
+    """Yield cases in order of arrival: the name, the request, and the reason of a failure."""
     requests: dict[str, DiagnosisRequest] = {}
     refused: dict[str, str] = {}
 
@@ -206,7 +206,7 @@ def _reason(ending: Ending) -> str:
     if ending.kind == "lost":
         raise ClusterError(
             f"The case {ending.key} was lost: {ending.reason}. Give the workers more memory, or "
-            "start fewer with --workers; the same command goes on."
+            "start fewer with --workers; run the same command again to continue."
         )
     return ending.reason if ending.kind != "returned" else ""
 
@@ -214,7 +214,7 @@ def _reason(ending: Ending) -> str:
 def _one(
     answering: Answering, name: str, dispatcher: Dispatcher
 ) -> tuple[DiagnosisRequest | None, str]:
-    """Diagnose with all workers: what was asked, and why it failed if it did."""
+    """Diagnose with all workers; return the request, and the reason of a failure."""
     try:
         request = request_of(answering, name)
         run(request, dispatcher)
@@ -236,8 +236,8 @@ def _keep(
     found = finished(request)
     if found is None:
         raise StoreError(
-            f"The case {name} is diagnosed, but {request.store} does not hold it. Give a "
-            "--store that workers and driver share."
+            f"The case {name} is diagnosed, but {request.store} does not contain it. Give a "
+            "--store that is shared by workers and driver."
         )
     write_answer(answering.blind, name, answering.directions, request, found, code)
 

@@ -11,10 +11,10 @@ from palpate.workers.tasks.diagnosis_store import DiagnosisRequest
 
 
 def diagnose_alone(request: DiagnosisRequest) -> float:
-    """Diagnose a case in this process, leave the outcome in the store, return the seconds spent.
+    """Diagnose a case in this process, storing the outcome, and return the seconds spent.
 
-    As many of these as there are workers keep all of them busy, while one diagnosis has
-    phases of a single task; and each body is built by one process only.
+    One such task per worker keeps all workers busy, whereas a single diagnosis has phases with
+    only one task. Each body is also built by only one process.
     """
     begun = time.perf_counter()
     run(request, InThisProcess())
@@ -22,15 +22,15 @@ def diagnose_alone(request: DiagnosisRequest) -> float:
 
 
 class InThisProcess:
-    """A dispatcher for one who is a worker himself."""
+    """A dispatcher that runs tasks inside a worker."""
 
     threads = 1
 
     def everywhere(self, task: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
-        """Run one task here, which is everywhere."""
+        """Run one task in this process, the only one."""
         return {"this process": task(*arguments)}
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
-        """Run tasks one after the other; what they raise goes up unchanged."""
+        """Run tasks one after the other; their exceptions are passed on unchanged."""
         for key, arguments in ready(calls):
             yield Ending(key, "returned", task(*arguments))

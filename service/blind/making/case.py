@@ -1,4 +1,4 @@
-"""Makes one case of a blind set, as a task. No diagnosis imports this file."""
+"""The task that makes one case of a blind set. No diagnosis imports this module."""
 
 import os
 import tempfile
@@ -15,12 +15,12 @@ from palpate.workers.blind.world import World
 from palpate.workers.blind.write_case import write_case
 
 ATTEMPTS = 5
-# A case tells nothing by the time at which it was made.
+# All files get the same time, so that it reveals nothing about the case.
 NO_TIME = (0, 0)
 
 
 class CaseMade(TypedDict):
-    """Seconds that a case took, and how many draws it needed."""
+    """Seconds taken by a case, and the number of draws it needed."""
 
     seconds: float
     attempts: int
@@ -29,7 +29,7 @@ class CaseMade(TypedDict):
 def make_case(
     seed: int, kind: str, one_direction: bool, world: str, case: str, truth: str
 ) -> CaseMade:
-    """Draw a case and write it, with its truth elsewhere; both are whole or not there.
+    """Draw a case and write it, and its truth elsewhere; each is complete or absent.
 
     Parameters
     ----------
@@ -41,12 +41,12 @@ def make_case(
     world : str
         See `workers.blind.world.World`.
     case, truth : str
-        Folders that are made here, both of the same name. A case is there last.
+        Folders to create, both of the same name. The case is moved into place last.
 
     Returns
     -------
     CaseMade
-        A draw that stands between no plates is drawn again with the next seed.
+        A draw without an equilibrium between the plates is repeated with the next seed.
     """
     begun = time.perf_counter()
     for attempt in range(ATTEMPTS):
@@ -62,7 +62,7 @@ def make_case(
 
 
 def publish(case: Path, truth: Path, write: Callable[[Path, Path], object]) -> None:
-    """Have a case and its truth written under their own names, then put them in their places."""
+    """Write a case and its truth in scratch folders, then move them into place."""
     with explained(case), _beside(case) as new_case, _beside(truth) as new_truth:
         write(new_case, new_truth)
         for file in new_case.iterdir():
@@ -74,7 +74,7 @@ def publish(case: Path, truth: Path, write: Callable[[Path, Path], object]) -> N
 
 
 class _beside:  # noqa: N801 - a context manager
-    """Make a folder of the same name in a hidden one beside it that goes at the end."""
+    """Make a folder of the same name in a hidden sibling folder, removed at the end."""
 
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Makes a blind set: a plan, the cases, and a manifest that seals them."""
+"""Making a blind set: a plan, the cases, and a manifest that seals them."""
 
 import secrets
 from collections.abc import Callable, Mapping, Sequence
@@ -36,20 +36,20 @@ ID_BYTES = 4
 
 @dataclass(frozen=True)
 class SetRequest:
-    """What a set is to be.
+    """The settings of a set.
 
     Parameters
     ----------
     cases : int
-        How many, > 0.
+        Number of cases, > 0.
     seed : int or None
-        Of all cases; None draws one, so that nobody knows it.
+        Seed of all cases; None draws one that nobody knows.
     one_direction : bool
         Whether all scans are pressed along y.
     nodes : int
-        Of the diagnosis' working mesh, which the manifest freezes.
+        Nodes of the diagnosis' working mesh, recorded in the manifest.
     controls : bool
-        Whether no body lacks anything: null replicates by full simulation.
+        Whether to make only controls: null replicates by full simulation.
     world : str
         See `workers.blind.world.World`.
     """
@@ -63,7 +63,7 @@ class SetRequest:
 
     @property
     def rules(self) -> dict[str, bool | str]:
-        """Return what the cases of a set depend on besides its seed."""
+        """Return the settings, other than the seed, on which the cases of a set depend."""
         return {
             "one_direction": self.one_direction,
             "controls": self.controls,
@@ -79,7 +79,7 @@ def plan(
     Parameters
     ----------
     shares : mapping of str to float
-        How often each kind is drawn, on any scale.
+        Frequency of each kind, on any scale.
 
     Returns
     -------
@@ -89,14 +89,14 @@ def plan(
     Raises
     ------
     InputError
-        If the earlier call asked for another set, or its truths are elsewhere.
+        If the earlier call had other settings, or its truths are elsewhere.
     """
     if truths.plan.is_file():
         return _planned_before(truths, request)
     if blind.manifest.is_file():
         raise InputError(
             f"{blind.root} is sealed, and its truths are not in {truths.root}. Give their folder "
-            "by --truth, or make a new SET."
+            "with --truth, or make a new SET."
         )
     seed = secrets.randbits(48) if request.seed is None else request.seed
     kinds = shared_out(shares, request.cases)
@@ -113,22 +113,22 @@ def plan(
 
 
 def _planned_before(truths: Truths, request: SetRequest) -> list[PlannedCase]:
-    """Read the plan of an earlier call, and refuse it if it is of another set."""
+    """Read the plan of an earlier call, and refuse one for another set."""
     earlier = read_json(truths.plan)
-    before = {"controls": False, "world": "plain"} | earlier  # an older plan says nothing of them
+    before = {"controls": False, "world": "plain"} | earlier  # older plans lack these keys
     rules = {name: before[name] for name in request.rules}
     same_seed = request.seed in (None, earlier["seed"])
     if len(earlier["cases"]) != request.cases or rules != request.rules or not same_seed:
         raise InputError(
             f"{truths.plan} plans another set ({len(earlier['cases'])} cases, seed "
             f"{earlier['seed']}, one direction: {rules['one_direction']}, controls only: "
-            f"{rules['controls']}, world: {rules['world']}). Ask for the same, or for a new SET."
+            f"{rules['controls']}, world: {rules['world']}). Use the same options, or a new SET."
         )
     return list(earlier["cases"])
 
 
 def unmade(blind: BlindSet, truths: Truths, entries: Sequence[PlannedCase]) -> list[PlannedCase]:
-    """Return the part of a plan that waits to be made; a sealed set has none."""
+    """Return the cases of a plan that are not made yet; none for a sealed set."""
     if blind.manifest.is_file():
         return []
     names = (entry["id"] for entry in entries)
@@ -145,12 +145,12 @@ def make(
     tell: Callable[[], object],
     task: Callable[..., object],
 ) -> None:
-    """Make cases in the order of their names, which says nothing of their kinds.
+    """Make cases in the order of their names, which is independent of their kinds.
 
     Parameters
     ----------
     entries : sequence of PlannedCase
-        See `unmade`.
+        As returned by `unmade`.
     tell : callable
         Called when a case is made.
     task : callable
@@ -161,9 +161,9 @@ def make(
     StoreError
         If the set cannot be written.
     ClusterError, TaskError
-        If the workers cannot do the work; what is made is kept.
+        If the workers cannot do the work; completed cases are kept.
     Interrupted
-        If the dispatcher is told to stop.
+        If the dispatcher is stopped.
     """
 
     def arguments(entry: PlannedCase) -> tuple[str, tuple[Any, ...]]:
@@ -180,12 +180,12 @@ def make(
 def seal(
     blind: BlindSet, truths: Truths, entries: Sequence[PlannedCase], request: SetRequest
 ) -> str:
-    """Write the manifest, or check the one that is there.
+    """Write the manifest, or check the existing one.
 
     Returns
     -------
     str
-        Its SHA-256.
+        The SHA-256 of the manifest.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def seal(
 
 
 def shared_out(shares: Mapping[str, float], count: int) -> list[str]:
-    """Share out `count` cases among kinds, as near to their shares as whole numbers come.
+    """Distribute `count` cases among kinds, as close to their shares as whole numbers allow.
 
     The largest remainders are rounded up.
 
@@ -227,7 +227,7 @@ def shared_out(shares: Mapping[str, float], count: int) -> list[str]:
 
 
 def seed_of(seed: int, number: int) -> int:
-    """Derive the seed of one case, independent of those of the others."""
+    """Return the seed of one case, independent of the seeds of the others."""
     return int(np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0] >> 1)
 
 
@@ -244,7 +244,7 @@ def _failed(ending: Ending) -> Exception:
     if ending.kind == "lost":
         return ClusterError(
             f"The case {ending.key} was lost: {ending.reason}. Give the workers more memory, or "
-            "start fewer with --workers; the same command goes on."
+            "start fewer with --workers; run the same command again to continue."
         )
     return TaskError(
         f"The case {ending.key} could not be made: {ending.reason}.\n{ending.traceback}"

@@ -1,4 +1,4 @@
-"""Draws the charts of a scored set."""
+"""Charts of a scored set."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -24,14 +24,14 @@ FRAME: Mapping[str, Any] = {"fill": False, "edgecolor": INK, "linewidth": 1.6, "
 BESIDE: Mapping[str, Any] = {"textcoords": "offset points", "fontsize": SMALL_PT}
 FLOOR: Mapping[str, Any] = {"color": INK, "linewidth": 1.1, "linestyle": (0, (2, 2))}
 COUNTS = LinearSegmentedColormap.from_list("counts", ["#ffffff", "#9fc3dc", "#0072b2"])
-# A count on a cell darker than this is written in white.
+# Counts on cells darker than this are white.
 DARK = 0.6
-# A dot lower than this has its number above, clear of the axis.
+# The number of a dot lower than this is above it, clear of the axis.
 LOW = 0.1
 
 
 def heat_map(table: Confusion) -> Figure:
-    """Draw rows of truths over columns of answers; answers that are right have a frame."""
+    """Draw a table of truths (rows) and answers (columns); correct answers have a frame."""
     counts = np.array(table.counts)
     drawn = figure(WIDTH_IN, 1.6 + 0.34 * len(table.rows))
     axes = drawn.subplots()
@@ -56,9 +56,9 @@ def heat_map(table: Confusion) -> Figure:
 
 
 def curve(bins: Sequence[Bin]) -> Figure:
-    """Draw the share of statements that was true over the probability that they were given."""
+    """Draw the share of true statements over their stated probability."""
     drawn = figure(5.1, 4.4)
-    axes = _square(drawn, "probability given", "share that was true")
+    axes = _square(drawn, "stated probability", "share of true statements")
     for b in bins:
         share = b.came_true
         if b.said is None or share.value is None or share.low is None or share.high is None:

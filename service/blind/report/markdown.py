@@ -1,4 +1,4 @@
-"""Writes metrics as a table into a text that is kept with the code."""
+"""Metrics as a Markdown table, inserted into a document."""
 
 from collections.abc import Iterator, Sequence
 
@@ -23,7 +23,7 @@ BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 
 
 def filled(text: str, scored: ScoredSet) -> str:
-    """Return `text` with the metrics between its two marks, in place of what stood there.
+    """Return `text` with the metrics between its two marks, replacing existing ones.
 
     Raises
     ------
@@ -40,21 +40,21 @@ def filled(text: str, scored: ScoredSet) -> str:
 
 
 def table(scored: ScoredSet) -> str:
-    """Write the metrics in Markdown, those with a target first, and what lies behind them."""
+    """Return the metrics in Markdown, those with a target first, with their details."""
     lines = [f"{len(scored.records)} cases of {scored.name}.", ""]
     lines += ["| set | manifest | answers | code |", "|---|---|---|---|"]
     lines += [_sealed(one) for one in scored.seals] + [""]
     for reason in scored.declared:
-        lines += [f"The diagnosis is not the one that was sealed: {reason}", ""]
+        lines += [f"The diagnosis differs from the sealed one: {reason}", ""]
     lines += ["| figure | value | 95 % interval | cases | target | |", "|---|---|---|---|---|---|"]
     lines += [_row(f) for f in scored.targets_first]
     if scored.floor_mm is not None:
         lines += ["", f"Floor: {scored.floor_mm:.3f} mm of true gap in the median control."]
-    lines += ["", "| what was true | what was said first, right answers in bold |", "|---|---|"]
+    lines += ["", "| truth | first answer, correct ones in bold |", "|---|---|"]
     lines += _confusions(scored.records)
-    lines += ["", "| probability stated | statements | came true |", "|---|---|---|"]
+    lines += ["", "| stated probability | statements | true |", "|---|---|---|"]
     lines += _calibration(scored.records)
-    lines += ["", "| wrong answer to | said | true gap, mm | evidence of a gap |"]
+    lines += ["", "| wrong answer to | answer | true gap, mm | evidence of a gap |"]
     lines += ["|---|---|---|---|"]
     return "\n".join([*lines, *_failures(scored.records)])
 

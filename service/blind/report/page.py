@@ -1,4 +1,4 @@
-"""Writes the page of a scored set: one file, which needs no other."""
+"""The page of a scored set, as one self-contained file."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -28,7 +28,7 @@ Pairs = list[tuple[float, float]]
 
 
 def render(scored: ScoredSet) -> str:
-    """Return the page as text; an equal score gives the same bytes."""
+    """Return the page as text; equal scores give identical bytes."""
     return filled("blind.html.j2", context(scored), Path(__file__).parent)
 
 
@@ -62,8 +62,8 @@ def context(scored: ScoredSet) -> dict[str, Any]:
 def _lead(scored: ScoredSet) -> str:
     floor = scored.floor_mm
     floor_text = (
-        f"Without noise, the calibrated model of the median control still misses {floor:.2f} mm: "
-        "the floor. A gap counts as visible from 1.5 floors on. "
+        f"Without noise, the calibrated model of the median control still has a gap of {floor:.2f} "
+        "mm, the floor. A gap counts as visible above 1.5 times the floor. "
         if floor is not None
         else ""
     )
@@ -71,8 +71,8 @@ def _lead(scored: ScoredSet) -> str:
         "" if scored.seals[0]["directions"] == "all" else "Only scans pressed along y were shown. "
     )
     return (
-        "Bodies made by another solver, with causes known only to whoever made them, were sealed "
-        f"before they were diagnosed. {shown_scans}{floor_text}Intervals hold with 95 %."
+        "Bodies were made by another solver and sealed before they were diagnosed; their causes "
+        f"were known only to the maker. {shown_scans}{floor_text}Intervals are at 95 %."
     )
 
 
@@ -80,7 +80,7 @@ def _tiles(metrics: Sequence[Metric]) -> list[tuple[str, str, str]]:
     titles = {
         "false_alarms": "False alarms",
         "named_right": "Named effects that act",
-        "first_visible": "Visible effects that come first",
+        "first_visible": "Visible effects ranked first",
         "covered": "In the 90 % set",
     }
     by_key = {f.key: f for f in metrics}
@@ -123,8 +123,8 @@ def _confusion_picture(records: Sequence[CaseRecord]) -> Picture:
     right = sum(r.right for r in records)
     return picture(
         charts.heat_map(table),
-        f"Answers to {len(records)} cases of {len(table.rows)} kinds; {right} are right.",
-        "Rows: what is true. Columns: what was said first. A frame stands around right answers.",
+        f"Answers to {len(records)} cases of {len(table.rows)} kinds; {right} are correct.",
+        "Rows: truth. Columns: first answer. Correct answers have a frame.",
     )
 
 
@@ -137,8 +137,8 @@ def _calibration_picture(records: Sequence[CaseRecord]) -> Picture:
     )
     return picture(
         charts.curve(bins),
-        f"Share of statements that was true by probability. {shares}.",
-        "Each dot: the statements of a tenth of the scale, with their number.",
+        f"Share of true statements by probability. {shares}.",
+        "Each dot: the statements in a tenth of the scale, with their number.",
     )
 
 
@@ -148,7 +148,7 @@ def _shrinkage_picture(records: Sequence[CaseRecord]) -> Picture:
     return picture(
         charts.shrinkage(held_out, inside),
         f"Claimed over true shrinkage of {len(inside)} cases.",
-        "By how much the square of the gap shrinks when the accused effects are added.",
+        "Reduction of the squared gap by the accused effects.",
     )
 
 
@@ -158,7 +158,7 @@ def _gap_picture(records: Sequence[CaseRecord], floor: float | None) -> Picture:
     return picture(
         charts.gaps(before, after, floor),
         f"Claimed over true gap of {len(before)} cases.",
-        "Root mean square distance beyond noise, claimed, over the one without noise.",
+        "Root mean square distance beyond noise: claimed, over the noise-free value.",
     )
 
 

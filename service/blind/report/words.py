@@ -1,4 +1,4 @@
-"""Writes metrics, truths and answers as a reader wants them."""
+"""Metrics, truths and answers as text."""
 
 from palpate.service.blind.scoring.metrics import Metric, Unit
 from palpate.service.blind.sealed.records import CaseRecord
@@ -7,7 +7,7 @@ from palpate.service.formatting import NONE
 
 
 def shown(value: float | None, unit: Unit) -> str:
-    """Write a value with its unit.
+    """Return a value with its unit.
 
     Examples
     --------
@@ -22,7 +22,7 @@ def shown(value: float | None, unit: Unit) -> str:
 
 
 def limit(metric: Metric) -> str:
-    """Write a target in words.
+    """Return a target as text.
 
     Examples
     --------
@@ -38,7 +38,7 @@ def limit(metric: Metric) -> str:
 
 
 def interval(metric: Metric) -> str:
-    """Write the interval of a metric; nothing where there is none."""
+    """Return the interval of a metric as text; empty if there is none."""
     estimate = metric.estimate
     if estimate.low is None or estimate.high is None or estimate.low >= estimate.high:
         return ""
@@ -46,12 +46,12 @@ def interval(metric: Metric) -> str:
 
 
 def asked_for(record: CaseRecord) -> str:
-    """Write what is true of a case."""
+    """Return the truth of a case as text."""
     return together(record.effects) if record.effects else spoken(record.kind)
 
 
 def answered(record: CaseRecord) -> str:
-    """Write what was said of a case."""
+    """Return the answer to a case as text."""
     if record.answer == "failed":
         return "failed"
     if not record.primary:
@@ -60,9 +60,9 @@ def answered(record: CaseRecord) -> str:
     if record.answer == "effect":
         return first
     others = [n for n in record.set90 if n not in record.primary and n not in NOT_EFFECTS]
-    return f"{first}, or {together(others)}" if others else f"{first}, not for certain"
+    return f"{first}, or {together(others)}" if others else f"{first}, uncertain"
 
 
 def millimetres(value: float | None) -> str:
-    """Write a gap without its interval."""
+    """Return a gap without its interval."""
     return NONE if value is None else f"{value:.2f}"

@@ -1,9 +1,9 @@
-"""Checks whether stated probabilities come true as often as they say.
+"""Calibration of the stated probabilities.
 
-Each case makes a statement for every cause that the data could tell: that there is no gap,
-that none of the effects explains it, that a certain effect acts. Statements are true or
-not, and were given a probability. Of relatives of effects the statements are those about
-families, and that there is no gap: which effect is true of them is a matter of taste.
+Each case makes a statement about every possible cause: that there is no gap, that none of the
+effects explains it, that a certain effect acts. A statement is true or false and has a stated
+probability. For relatives of effects the statements are about families and about no gap, since
+it is a matter of interpretation which effect applies.
 """
 
 from collections.abc import Sequence
@@ -17,24 +17,24 @@ from palpate.storage.values import FloatArray
 from palpate.workers.diagnosis.verdict.verdict import NO_GAP
 
 BINS = 10
-# A statement of this much is sure.
+# A statement with at least this probability is sure.
 SURE = 0.9
-# Least probability that a statement which comes true is taken to have had.
+# Lower bound on the stated probability of a true statement.
 LEAST = 1e-4
 
 
 @dataclass(frozen=True)
 class Bin:
-    """Statements of about the same probability.
+    """Statements of similar probability.
 
     Parameters
     ----------
     low, high : float
-        Probabilities in the bin; the last one holds its upper end too.
+        Range of probabilities; the last bin includes its upper end.
     said : float or None
-        Their mean probability.
+        Mean stated probability.
     came_true : Estimate
-        The share that was true.
+        Share of true statements.
     """
 
     low: float
@@ -44,7 +44,7 @@ class Bin:
 
 
 def statements(record: CaseRecord) -> list[tuple[float, bool]]:
-    """Return the probabilities that an answer stated, each with whether it came true."""
+    """Return the stated probabilities of an answer, each with whether the statement is true."""
     if record.group == "relative":
         of_families = record.family_probabilities.items()
         said = [(p, family in record.families) for family, p in of_families]
@@ -54,7 +54,7 @@ def statements(record: CaseRecord) -> list[tuple[float, bool]]:
 
 
 def brier(records: Sequence[CaseRecord]) -> Estimate:
-    """Average over the cases the sum of (probability - truth)^2; 0 is perfect.
+    """Return the sum of (probability - truth)^2, averaged over the cases; 0 is perfect.
 
     Source: G. W. Brier, Monthly Weather Review 78 (1950) 1.
     """
@@ -63,7 +63,7 @@ def brier(records: Sequence[CaseRecord]) -> Estimate:
 
 
 def log_score(records: Sequence[CaseRecord]) -> Estimate:
-    """Average over the cases the sum of minus the logarithm of what came true; 0 is perfect.
+    """Return the sum of minus log(probability of the truth), averaged over cases; 0 is perfect.
 
     Source: I. J. Good, J. R. Stat. Soc. B 14 (1952) 107.
     """
@@ -74,9 +74,9 @@ def log_score(records: Sequence[CaseRecord]) -> Estimate:
 def calibration_error(records: Sequence[CaseRecord], bins: int = BINS) -> Estimate:
     """Return the expected calibration error, with the interval of a bootstrap over cases.
 
-    The mean over the statements of how far the share that came true lies from what was said,
-    in bins of about the same probability (M. P. Naeini, G. F. Cooper and M. Hauskrecht, AAAI
-    2015, 2901).
+    The mean over the statements of the distance between the share of true statements and the
+    stated probability, in bins of similar probability (M. P. Naeini, G. F. Cooper and
+    M. Hauskrecht, AAAI 2015, 2901).
     """
     tables = []
     for s in filter(None, map(statements, records)):
@@ -92,13 +92,13 @@ def _error_of_sums(sums: FloatArray) -> FloatArray:
 
 
 def sure_statements(records: Sequence[CaseRecord]) -> Estimate:
-    """Return the share of statements of 90 % and more that came true."""
+    """Return the share of true statements among those of 90 % or more."""
     made = [s for record in records for s in statements(record)]
     return share([true for p, true in made if p >= SURE])
 
 
 def brier_of_base_rates(records: Sequence[CaseRecord]) -> Estimate:
-    """Return the Brier score of stating for each cause its frequency in the set, every time."""
+    """Return the Brier score of always stating each cause's frequency in the set."""
     scored = [r for r in records if statements(r) and r.group != "relative"]
     if not scored:
         return NOTHING
@@ -110,7 +110,7 @@ def brier_of_base_rates(records: Sequence[CaseRecord]) -> Estimate:
 
 
 def calibration_curve(records: Sequence[CaseRecord], bins: int = BINS) -> list[Bin]:
-    """Group statements by the probability that they were given."""
+    """Return the statements grouped by stated probability."""
     made = [s for record in records for s in statements(record)]
     number = [min(int(p * bins), bins - 1) for p, _ in made]
     out = []

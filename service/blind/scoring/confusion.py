@@ -1,4 +1,4 @@
-"""Counts what was true against what was said of it."""
+"""Counts of truths and answers."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -19,14 +19,14 @@ class Confusion:
     Parameters
     ----------
     rows : tuple of str
-        Kinds of truth: silent ones, single effects, pairs and triples, those out of the
+        Kinds of truth: silent ones, single effects, pairs and triples, and causes outside the
         catalogue.
     columns : tuple of str
-        First effects accused, and answers without any.
+        First effects accused, and answers without an effect.
     counts : tuple of tuple of int
         One tuple for each row.
     right : frozenset of (int, int)
-        Row and column of answers that are right.
+        Row and column of correct answers.
     """
 
     rows: tuple[str, ...]
@@ -36,7 +36,7 @@ class Confusion:
 
 
 def confusion(records: Sequence[CaseRecord]) -> Confusion:
-    """Count answers by what was true."""
+    """Return the counts of answers by truth."""
     ranked = sorted(records, key=lambda r: (ORDER.index(r.group), true_name(r)))
     rows = tuple(dict.fromkeys(true_name(r) for r in ranked))
     answers = {said_name(r) for r in records}

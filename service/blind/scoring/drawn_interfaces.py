@@ -1,6 +1,6 @@
-"""How far outside of a body its interfaces are drawn.
+"""Distances from a body's true interfaces to the drawn ones.
 
-Labels or scans that are too large, and scans at another place.
+They are due to labels or scans that are too large, and to scans at another position.
 """
 
 from collections.abc import Mapping
@@ -24,13 +24,13 @@ def drawn_mm(
     Parameters
     ----------
     points, normals : ndarray, shape (scans, k, 3)
-        In the loaded scans, in mm, and unit normals of the interfaces there.
+        Points in the loaded scans, in mm, and unit normals of the interfaces there.
     interface : ndarray of int, shape (k,)
         0 for the outline, 1 for the boundary of the glandular tissue.
     centre_mm : tuple of float or None
-        About which scans are scaled, sheared or turned; without it such effects are left out.
+        Centre about which scans are scaled, sheared or turned; without it these are ignored.
     sizes : mapping of str to float
-        Parameters of the catalogue under their door names; 0 for those that are not named.
+        Parameters of the catalogue under their external names; missing ones are 0.
     """
     tissues = np.where(interface == 0, Tissue.FAT, Tissue.GLANDULAR)
     frame = Frame() if centre_mm is None else Frame(centre_mm)

@@ -1,7 +1,7 @@
-"""Converts true magnitudes to the catalogue's parameters, to compare estimates with them.
+"""Conversion of true magnitudes to the catalogue's parameters, for comparison with estimates.
 
-Whoever made a case gave each cause a form of its own; `Effect.truth` returns the parameters of the
-same meaning in the catalogue, which a diagnosis should find.
+The maker of a case parametrises each cause in its own way; `Effect.truth` returns the
+catalogue parameters of the same meaning, which a diagnosis should find.
 """
 
 import math
@@ -16,7 +16,7 @@ from palpate.workers.diagnosis.schema.summary import EffectSummary
 
 
 def true_values(truth: Truth) -> dict[str, float]:
-    """Return parameters of the catalogue under their door names, of all true effects.
+    """Return the catalogue parameters of all true effects, under their external names.
 
     Raises
     ------
@@ -32,12 +32,12 @@ def true_values(truth: Truth) -> dict[str, float]:
 
 
 def magnitudes(truth: Truth, by_name: Mapping[str, EffectSummary]) -> list[Magnitude]:
-    """Put found beside true magnitudes, of a single effect that was refitted.
+    """Return found and true magnitudes of a single effect that was refitted.
 
     Parameters
     ----------
     by_name : mapping of str to EffectSummary
-        What is said of each effect, see `workers.diagnosis.schema.summary`.
+        The summary of each effect, see `workers.diagnosis.schema.summary`.
     """
     found = by_name.get(truth.effects[0]) if truth.group == "single" else None
     if found is None or not found.refitted:
@@ -51,12 +51,12 @@ def magnitudes(truth: Truth, by_name: Mapping[str, EffectSummary]) -> list[Magni
 
 
 def strength(truth: Truth, by_name: Mapping[str, EffectSummary]) -> float | None:
-    """Return the true size of a single effect in the standard deviations of its estimate.
+    """Return the true size of a single effect in standard deviations of its estimate.
 
-    What the scans could tell of it at most, to someone who knows its form: s^2 / 2 nats against
-    no gap. None where the catalogue has no parameter of the same meaning, and where an effect does
-    not grow in proportion to its size: friction, springs and lumps tire, and that they act is known
-    better than how much; the edge of a plate does ever more.
+    It bounds the evidence of the scans, given the form of the effect: s^2 / 2 nats against no
+    gap. None if the catalogue has no parameter of the same meaning, or if the response is not
+    proportional to the size: friction, springs and lumps saturate, so their presence is better
+    known than their size; the effect of a plate edge grows faster than its size.
 
     Parameters
     ----------
@@ -73,12 +73,12 @@ def strength(truth: Truth, by_name: Mapping[str, EffectSummary]) -> float | None
 def lump_apart_mm(
     truth: Truth, by_name: Mapping[str, EffectSummary], centre_mm: Triple | None
 ) -> float | None:
-    """Return the distance of the true and the found centre of a lump; None unless both are there.
+    """Return the distance between the true and the found centre of a lump; None unless both exist.
 
     Parameters
     ----------
     centre_mm : tuple of float or None
-        Middle of the body: answers of earlier versions hold offsets from it.
+        Middle of the body, from which answers of earlier versions have offsets.
     """
     given = next((c.parameters for c in truth.causes if c.effect == MAPPED.name), None)
     found = by_name.get(MAPPED.name)

@@ -1,7 +1,7 @@
-"""Computes the metrics of a set, each beside its target.
+"""Metrics of a set and their targets.
 
-A true gap counts as visible above 1.5 times the floor: what the calibrated model still
-misses, without noise, in the median control. Cases below it are shown, and judged apart.
+A true gap counts as visible above 1.5 times the floor, the noise-free gap of the calibrated model
+in the median control. Cases below are listed but judged separately.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -28,28 +28,28 @@ from palpate.workers.diagnosis.verdict.verdict import NO_GAP, NONE_OF_THESE
 Unit = Literal["share", "mm", "number"]
 VISIBLE = 1.5
 CLEAR = 3.0
-# Standard deviations: 8 nats, of which some 5 pay for having looked at two dozen effects of any
-# size, and 3 are twenty to one.
+# Standard deviations: 8 nats, about 5 for the search over two dozen effects of any size, and
+# 3 for odds of twenty to one.
 STRONG = 4.0
-# A gap may be wrong by so much, or by this part of it.
+# Tolerances of a gap: absolute, and relative.
 GAP_MM, GAP_PART = 0.05, 0.25
 
 
 @dataclass(frozen=True)
 class Target:
-    """A bound that a metric should keep."""
+    """A bound for a metric."""
 
     value: float
     at_least: bool
 
     def met(self, value: float) -> bool:
-        """Return whether a value keeps the bound."""
+        """Return True if a value satisfies the bound."""
         return value >= self.value if self.at_least else value <= self.value
 
 
 @dataclass(frozen=True)
 class Metric:
-    """One number that says how good a diagnosis is.
+    """One measure of the quality of a diagnosis.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ class Metric:
     estimate : Estimate
     unit : {"share", "mm", "number"}
     target : Target or None
-        None where the metric only informs.
+        None if the metric is only informative.
     met : bool or None
         None without a target or without a case.
     """
@@ -81,17 +81,17 @@ def floor_mm(records: Records) -> float | None:
 
 
 def visible(record: CaseRecord, floor: float | None) -> bool:
-    """Return whether the true gap stands out of the floor; True where nobody can tell."""
+    """Return True if the true gap exceeds the visible limit, or if this is unknown."""
     if floor is None or record.true_before_mm is None:
         return True
     return record.true_before_mm > VISIBLE * floor
 
 
 def regrouped(records: Records) -> list[CaseRecord]:
-    """Regroup what should hide in the constants but stands out of the floor as a single effect.
+    """Return records in which hidden effects with a visible gap count as single effects.
 
-    A wrong force scales all moduli alike and leaves no gap; where anything else in the model
-    has a stiffness of its own, it leaves one.
+    A wrong force scales all moduli alike and leaves no gap, unless another part of the model
+    has a separate stiffness.
     """
     floor = floor_mm(records)
 
@@ -103,12 +103,12 @@ def regrouped(records: Records) -> list[CaseRecord]:
 
 
 def metrics(records: Records) -> list[Metric]:
-    """Compute all metrics.
+    """Return all metrics.
 
     Parameters
     ----------
     records : sequence of CaseRecord
-        As `regrouped` leaves them.
+        As returned by `regrouped`.
     """
     floor = floor_mm(records)
     return [
@@ -130,37 +130,39 @@ def _alarms(records: Records) -> Iterable[Metric]:
         "false_alarms", "False alarms on controls and hidden effects", alarms, _at_most(0.05)
     )
     sure = share([r.named or r.probabilities.get(NONE_OF_THESE, 0.0) >= SURE for r in silent])
-    yield _metric("sure_alarms", f"False alarms with {100 * SURE:.0f} % and more", sure)
+    yield _metric(
+        "sure_alarms", f"False alarms with a probability of {100 * SURE:.0f} % or more", sure
+    )
     named = [r for r in records if r.named]
     acts = share([r.right_first for r in named])
-    yield _metric("named_right", "An effect that is named acts", acts, _at_least(0.95))
+    yield _metric("named_right", "A named effect acts", acts, _at_least(0.95))
     known = [r for r in named if r.group not in ("unlike", "relative")]
     strict = share([r.strictly_right for r in known])
-    yield _metric("strict", "Nothing superfluous is named", strict, _at_least(0.80))
+    yield _metric("strict", "No superfluous effect is named", strict, _at_least(0.80))
     unsure = [r for r in records if r.answer == "cannot-be-told-apart"]
     first = share([r.right_first for r in unsure])
-    yield _metric("unsure_right", "The first of those that cannot be told apart acts", first)
+    yield _metric("unsure_right", "The first of several indistinguishable effects acts", first)
 
 
 def _singles(records: Records, floor: float | None) -> Iterable[Metric]:
     singles = [r for r in records if r.group == "single"]
     in_sight = [r for r in singles if visible(r, floor)]
-    title = "One effect, visible: it comes first"
+    title = "One effect, visible: ranked first"
     yield _metric("first_visible", title, _right_first(in_sight), _at_least(0.90))
     for key, stratum, chosen in strata(singles, floor):
-        title = f"One effect, {stratum}: it comes first"
+        title = f"One effect, {stratum}: ranked first"
         yield _metric(f"first_{key}", title, _right_first(chosen))
     for key, stratum, chosen in by_strength(singles):
-        title = f"One effect, {stratum}: it comes first"
+        title = f"One effect, {stratum}: ranked first"
         yield _metric(f"first_{key}", title, _right_first(chosen))
     covered = share([r.covered for r in singles])
-    yield _metric("covered", "One effect: it is in the 90 % set", covered, _at_least(0.90))
+    yield _metric("covered", "One effect: in the 90 % set", covered, _at_least(0.90))
     covered = share([r.covered for r in in_sight])
-    yield _metric("covered_visible", "One effect, visible: it is in the 90 % set", covered)
+    yield _metric("covered_visible", "One effect, visible: in the 90 % set", covered)
 
 
 def strata(records: Records, floor: float | None) -> list[tuple[str, str, list[CaseRecord]]]:
-    """Sort cases by their true gap in units of the floor; none where there is no floor."""
+    """Return cases grouped by their true gap in units of the floor; none without a floor."""
     if floor is None:
         return []
     known = [(r, r.true_before_mm / floor) for r in records if r.true_before_mm is not None]
@@ -175,7 +177,7 @@ def strata(records: Records, floor: float | None) -> list[tuple[str, str, list[C
 
 
 def by_strength(records: Records) -> list[tuple[str, str, list[CaseRecord]]]:
-    """Sort cases by how many standard deviations of its estimate their effect has."""
+    """Return cases grouped by the size of their effect in standard deviations."""
     known = [(r, r.strength) for r in records if r.strength is not None]
     weak = [r for r, s in known if s < STRONG]
     strong = [r for r, s in known if s >= STRONG]
@@ -189,25 +191,25 @@ def by_strength(records: Records) -> list[tuple[str, str, list[CaseRecord]]]:
 def _others(records: Records, floor: float | None) -> Iterable[Metric]:
     in_sight = [r for r in records if visible(r, floor)]
     unlike = _none_of_these([r for r in in_sight if r.group == "unlike"])
-    title = "Unlike any effect, visible: none of these"
+    title = "Unlike any effect, visible: answered none of these"
     yield _metric("unlike_visible", title, unlike, _at_least(0.80))
     careful = share([r.is_careful for r in in_sight if r.group == "unlike"])
-    title = "Unlike any effect, visible: none of these, or a doubt"
+    title = "Unlike any effect, visible: answered none of these, or uncertain"
     yield _metric("unlike_careful", title, careful, _at_least(0.85))
     unlike = _none_of_these([r for r in records if r.group == "unlike"])
-    yield _metric("unlike", "Unlike any effect, all: none of these", unlike)
+    yield _metric("unlike", "Unlike any effect, all: answered none of these", unlike)
     family = share([r.right_family for r in in_sight if r.group == "relative"])
-    title = "Relative of an effect, visible: its family is named"
+    title = "Relative of an effect, visible: family is named"
     yield _metric("relatives", title, family, _at_least(0.80))
     pairs = [r for r in in_sight if r.group == "pair"]
     dominant = share([r.first in r.effects for r in pairs])
-    title = "Two effects, visible: one of them comes first"
+    title = "Two effects, visible: one of them is ranked first"
     yield _metric("pairs_first", title, dominant, _at_least(0.90))
     both = share([set(r.primary) == set(r.effects) for r in pairs])
     yield _metric("pairs_both", "Two effects, visible: both are named", both, _at_least(0.40))
     triples = [r for r in in_sight if r.group == "triple"]
     first = share([r.first in r.effects for r in triples])
-    yield _metric("triples_first", "Three effects, visible: one of them comes first", first)
+    yield _metric("triples_first", "Three effects, visible: one of them is ranked first", first)
     two = share([len(set(r.primary) & set(r.effects)) >= 2 for r in triples])
     title = "Three effects, visible: two of them are named"
     yield _metric("triples_two", title, two, _at_least(0.50))
@@ -218,23 +220,23 @@ def _gaps(records: Records) -> Iterable[Metric]:
     error = mean([abs(c - t) for c, t in before])
     part = mean([abs(c - t) / t for c, t in before if t > 0])
     met = None if error.value is None else error.value <= GAP_MM or (part.value or 1.0) <= GAP_PART
-    title = "Error of the gap before, or at most 25 % of it"
+    title = "Error of the nominal gap, or at most 25 % of it"
     yield Metric("gap_error", title, error, "mm", _at_most(GAP_MM), met)
-    yield _metric("gap_error_part", "The same as a part of the gap", part)
+    yield _metric("gap_error_part", "Relative error of the nominal gap", part)
     slid = _both(records, lambda r: r.claimed_before_mm, lambda r: r.true_material_mm)
     error = mean([abs(c - t) for c, t in slid])
-    title = "Error of the gap before, against points that go with the tissue"
+    title = "Error of the nominal gap, measured at material points"
     yield _metric("gap_error_material", title, error, unit="mm")
     within = _within(records, lambda r: r.gap_interval_mm, lambda r: r.true_before_mm)
-    yield _metric("gap_within", "True gap before within its interval of 90 %", within)
+    yield _metric("gap_within", "True nominal gap within its 90 % interval", within)
     after = _both(records, lambda r: r.claimed_after_mm, lambda r: r.true_after_mm)
     error = mean([abs(c - t) for c, t in after])
-    yield _metric("gap_after_error", "Error of the gap that is left", error, unit="mm")
+    yield _metric("gap_after_error", "Error of the gap with the accused effects", error, unit="mm")
 
 
 def _shrinkages(records: Records) -> Iterable[Metric]:
     within = _within(records, lambda r: r.share_interval, lambda r: r.true_share)
-    yield _metric("shrinkage_within", "True shrinkage within its interval of 90 %", within)
+    yield _metric("shrinkage_within", "True shrinkage within its 90 % interval", within)
     targets = _at_most(0.12), _at_least(0.85)
     claims = (
         ("claimed", "", lambda r: r.claimed_share),
@@ -251,13 +253,13 @@ def _shrinkage(
     claimed: Callable[[CaseRecord], float | None],
     targets: tuple[Target, Target],
 ) -> Iterable[Metric]:
-    """Compare claimed with true shrinkage; the targets are of the error and the correlation."""
+    """Yield the error and the correlation of the claimed shrinkage, with their targets."""
     pairs = _both(records, claimed, lambda r: r.true_share)
     error = mean([abs(c - t) for c, t in pairs])
-    title = f"Error of the shrinkage claimed{where}"
+    title = f"Error of the claimed shrinkage{where}"
     yield _metric(f"shrinkage_error_{key}", title, error, targets[0], "number")
     along = correlation([c for c, _ in pairs], [t for _, t in pairs])
-    title = f"Correlation of the shrinkage claimed{where} with the true one"
+    title = f"Correlation of claimed and true shrinkage{where}"
     yield _metric(f"shrinkage_correlation_{key}", title, along, targets[1], "number")
 
 
@@ -265,31 +267,31 @@ def _sizes(records: Records) -> Iterable[Metric]:
     lumps = [(r.lump_apart_mm, MAPPED.name in r.primary) for r in records]
     named = mean([mm for mm, accused in lumps if accused and mm is not None])
     unnamed = mean([mm for mm, accused in lumps if not accused and mm is not None])
-    title = "A lump is named: its found centre to the true one"
+    title = "Lump is named: distance from its centre to the true one"
     yield _metric("lump", title, named, _at_most(3.0), "mm")
-    title = "A lump is not named: its likeliest centre to the true one"
+    title = "Lump is not named: distance from its most probable centre to the true one"
     yield _metric("lump_unnamed", title, unnamed, unit="mm")
     sizes = [m for r in records if r.right_first for m in r.magnitudes]
     errors = [abs(m.found - m.true) / m.sd for m in sizes if m.sd > 0]
-    title = "Error of a magnitude in its standard deviations"
+    title = "Error of a magnitude in standard deviations"
     yield _metric("magnitude_sds", title, median(errors), unit="number")
     within = share([error <= 2 for error in errors])
     yield _metric("magnitude_within", "Magnitudes within two standard deviations", within)
     part = [abs(m.found / m.true - 1) for m in sizes if m.true]
-    yield _metric("magnitude_part", "Error of a magnitude as a part of it", median(part))
+    yield _metric("magnitude_part", "Relative error of a magnitude", median(part))
 
 
 def _probabilities(records: Records) -> Iterable[Metric]:
     score, naive = brier(records), brier_of_base_rates(records)
     sure = sure_statements(records)
-    title = "Statements of 90 % and more that came true"
+    title = "Statements of 90 % or more that are true"
     yield _metric("sure_statements", title, sure, _at_least(0.93))
     error = calibration_error(records)
     title = "Expected calibration error of all statements"
     yield _metric("calibration_error", title, error, _at_most(0.06), unit="number")
     yield _metric("log_score", "Log score of all statements", log_score(records), unit="number")
     yield _metric("brier", "Brier score of all statements", score, unit="number")
-    title = "Brier score of the frequencies of the causes"
+    title = "Brier score of the base rates"
     yield _metric("brier_naive", title, naive, unit="number")
 
 
@@ -299,25 +301,25 @@ def _baselines(records: Records, floor: float | None) -> Iterable[Metric]:
     titles = {"raw_correlation": "largest raw correlation", "refit": "one refit at a time"}
     for key, title in titles.items():
         right = share([r.accused_by.get(key) in r.effects for r in in_sight])
-        yield _metric(f"baseline_{key}", f"Baseline, {title}: it comes first", right)
+        yield _metric(f"baseline_{key}", f"Baseline, {title}: ranked first", right)
         least = _threshold(records, key)
         if least is not None:
             spoken = [
                 r.accused_by.get(key) in r.effects and r.loudness.get(key, 0.0) > least
                 for r in in_sight
             ]
-            also = f"Baseline, {title}, with as few false alarms: it comes first"
+            also = f"Baseline, {title}, with as few false alarms: ranked first"
             yield _metric(f"baseline_{key}_silent", also, share(spoken))
     chance = [1 / r.catalogue for r in in_sight if r.catalogue]
     value = float(np.mean(chance)) if chance else None
     estimate = Estimate(value, value, value, len(chance))
-    yield _metric("baseline_chance", "Baseline, chance: it comes first", estimate)
+    yield _metric("baseline_chance", "Baseline, chance: ranked first", estimate)
 
 
 def _threshold(records: Records, key: str) -> float | None:
-    """Return the threshold at which a baseline alarms as rarely as the diagnosis.
+    """Return the threshold at which a baseline has as few false alarms as the diagnosis.
 
-    None without bodies that lack nothing.
+    None without bodies that lack no effect.
     """
     silent = [r for r in records if r.silent and key in r.loudness]
     if not silent:
@@ -339,7 +341,7 @@ def _both(
     claimed: Callable[[CaseRecord], float | None],
     true: Callable[[CaseRecord], float | None],
 ) -> list[tuple[float, float]]:
-    """Return claimed and true values of the cases of which both are known."""
+    """Return claimed and true values of the cases for which both are known."""
     pairs = [(claimed(r), true(r)) for r in records]
     return [(c, t) for c, t in pairs if c is not None and t is not None]
 
@@ -349,7 +351,7 @@ def _within(
     interval: Callable[[CaseRecord], tuple[float, float] | None],
     true: Callable[[CaseRecord], float | None],
 ) -> Estimate:
-    """Return how often the truth lies in the interval, where both are known."""
+    """Return the share of intervals that cover the truth, where both are known."""
     both = [(interval(r), true(r)) for r in records]
     return share([i[0] <= t <= i[1] for i, t in both if i is not None and t is not None])
 

@@ -1,4 +1,4 @@
-"""From the files of a set to records that can be scored."""
+"""Reading the files of a set as records for scoring."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -37,7 +37,7 @@ def read_records(
     Raises
     ------
     InputError
-        If a truth or an answer lacks something.
+        If a truth or an answer is incomplete.
     """
     return [_read(blind, truths, name, directions) for name in names]
 
@@ -62,30 +62,30 @@ def _read(blind: BlindSet, truths: Truths, name: str, directions: Directions) ->
 
 
 def answer_of(read: Mapping[str, object], name: str) -> Answer:
-    """Return the answer that a file holds.
+    """Parse the content of an answer file.
 
     Raises
     ------
     InputError
-        If it lacks something.
+        If the answer is incomplete.
     """
     try:
         return from_json(Answer, read)
     except ValueError as error:
-        raise InputError(f"The answer of {name} is not one of this version: {error}.") from error
+        raise InputError(f"The answer to {name} is from another version: {error}.") from error
 
 
 def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Arrays) -> CaseRecord:
-    """Put truth and answer of one case side by side.
+    """Return a record of the truth and the answer of one case.
 
     Parameters
     ----------
     truth : Truth
     moved : Moved
-        Of the scans that were diagnosed.
+        Displacements in the diagnosed scans.
     answer : Answer
     maps : mapping of str to ndarray
-        Its arrays.
+        Arrays of the answer.
     """
     summary, gap = answer.summary, answer.summary.gap_mm
     effects = {e.name: e for e in summary.effects}
@@ -134,7 +134,7 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
 
 
 def _diagnosed(moved: Moved, case: Path, directions: Directions) -> Moved:
-    """Return the scans that were diagnosed."""
+    """Return the displacements in the diagnosed scans."""
     if directions == "all":
         return moved
     loads = read_case_settings(case)["scans"]["loads"]
@@ -150,10 +150,10 @@ def _true_gap(
     centre_mm: Triple | None,
     found: Mapping[str, float],
 ) -> TrueGap | None:
-    """Return the true gap, of the interfaces as they are drawn; None where nobody is accused.
+    """Return the true gap to the interfaces as drawn; None if no effect is accused.
 
-    Labels or scans that are too large, or lie elsewhere, are a gap of the images and none of the
-    body. What the diagnosis says of it, `found`, closes that gap.
+    Labels or scans that are too large, or displaced, open a gap in the images but not in the
+    body. The sizes `found` by the diagnosis for these effects close it.
     """
     if f"moved_{when}" not in maps:
         return None
@@ -166,7 +166,7 @@ def _true_gap(
 
 
 def _said_of_images(summary: Summary) -> dict[str, float]:
-    """Return what is said of labels and scans that are too large or lie elsewhere, if accused."""
+    """Return the sizes found for labels and scans that are too large or displaced, if accused."""
     accused = {e.name for e in CATALOGUE.on_observation}.intersection(summary.primary)
     return {p.parameter: p.magnitude for n in accused for p in summary.effect(n).parameters}
 
@@ -176,7 +176,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def _known(share: ShareEstimate | None) -> float | None:
-    """Return the share; None where no gap has none."""
+    """Return the share; None if there is no gap to share."""
     return None if share is None or np.isnan(share.share) else share.share
 
 

@@ -1,4 +1,4 @@
-"""Opens sets: checks every seal, then scores the answers."""
+"""Scoring of opened sets, after every seal has been checked."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -23,17 +23,16 @@ from palpate.service.blind.sealed.sets import (
 from palpate.storage.errors import InputError
 
 OpenedSet = tuple[BlindSet, Truths]
-"""A set, and where its truths are."""
+"""A set and the location of its truths."""
 
 
 def score_sets(sets: Sequence[OpenedSet], directions: Directions) -> ScoredSet:
-    """Score one set, or several as if they were one.
+    """Score one set, or several as one.
 
     Raises
     ------
     InputError
-        If one is not sealed or not answered, or a case, a truth or an answer is not what
-        was sealed; or if a set is named twice.
+        If a set is not sealed or not answered, a seal is broken, or a set is named twice.
     """
     roots = [blind.root.absolute().resolve() for blind, _ in sets]
     twice = next((root for n, root in enumerate(roots) if root in roots[:n]), None)
@@ -48,7 +47,7 @@ def score_sets(sets: Sequence[OpenedSet], directions: Directions) -> ScoredSet:
 
 
 def _checked_seals(blind: BlindSet, truths: Truths, directions: Directions) -> Seals:
-    """Return the seals of a set, none of which is broken."""
+    """Check the seals of a set and return them."""
     manifest = read_manifest(blind)
     check_cases(blind, manifest)
     sealed = check_answers(blind, directions)
@@ -68,7 +67,7 @@ def _records(blind: BlindSet, truths: Truths, directions: Directions) -> list[Ca
 
 
 def record(scored: ScoredSet) -> dict[str, Any]:
-    """Return what `palpate blind score --json` prints."""
+    """Return the record printed by `palpate blind score --json`."""
     table = confusion(scored.records)
     return {
         "set": scored.name,

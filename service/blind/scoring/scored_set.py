@@ -1,4 +1,4 @@
-"""Holds the result of scoring blind sets, which page, text and console show."""
+"""The result of scoring blind sets, for page, text and console."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from palpate.service.blind.sealed.sets import Directions
 
 
 class Seals(TypedDict):
-    """What the score of a set rests on.
+    """The seals behind the score of a set.
 
     ``set`` is its name, ``manifest`` and ``answers`` are hashes, ``diagnosis`` is the one that
-    answered (see `blind.sealed.sealed_settings`), ``declared`` says why it is not the sealed
-    one, and ``directions`` which scans it was shown.
+    answered (see `blind.sealed.sealed_settings`), ``declared`` is the reason if it is not the
+    sealed one, and ``directions`` are the scans that it received.
     """
 
     set: str
@@ -32,7 +32,7 @@ class ScoredSet:
     Parameters
     ----------
     name : str
-        Of the set, or of all of them: "one + another".
+        Name of the set, or of several: "one + another".
     records : sequence of CaseRecord
     metrics : sequence of Metric
     floor_mm : float or None
@@ -49,7 +49,7 @@ class ScoredSet:
 
     @property
     def declared(self) -> list[str]:
-        """Return why the diagnosis that answered is not the sealed one, where it is not."""
+        """Return the reasons why the answering diagnosis is not the sealed one, if any."""
         return list(dict.fromkeys(one["declared"] for one in self.seals if one["declared"]))
 
     @property

@@ -1,4 +1,4 @@
-"""Computes shares and means with their intervals."""
+"""Shares and means with their intervals."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ SEED = 0
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its interval, and how many cases it rests on; None without any."""
+    """A number with its interval and number of cases; None without cases."""
 
     value: float | None
     low: float | None
@@ -51,7 +51,7 @@ def share(right: Sequence[bool]) -> Estimate:
 
 
 def mean(values: Sequence[float]) -> Estimate:
-    """Return the mean, with the interval of the bootstrap over cases."""
+    """Return the mean, with its bootstrap interval over cases."""
     if not values:
         return NOTHING
     drawn = np.asarray(values)[_draws(len(values))].mean(axis=1)
@@ -59,21 +59,21 @@ def mean(values: Sequence[float]) -> Estimate:
 
 
 def of_sums(values: FloatArray, figure: Callable[[FloatArray], FloatArray]) -> Estimate:
-    """Return a figure of sums over cases, with the interval of the bootstrap over cases.
+    """Return a function of sums over cases, with its bootstrap interval over cases.
 
     Parameters
     ----------
     values : ndarray, shape (n, ...)
-        What each case adds.
+        Contribution of each case.
     figure : callable
-        From draws of the sums, shape (d, ...), to shape (d,).
+        Maps draws of the sums, shape (d, ...), to shape (d,).
     """
     drawn = figure(values[_draws(len(values))].sum(axis=1))
     return _estimate(float(figure(values.sum(axis=0)[None])[0]), drawn, len(values))
 
 
 def median(values: Sequence[float]) -> Estimate:
-    """Return the median, with the interval of the bootstrap over cases."""
+    """Return the median, with its bootstrap interval over cases."""
     if not values:
         return NOTHING
     drawn = np.median(np.asarray(values)[_draws(len(values))], axis=1)
@@ -81,7 +81,7 @@ def median(values: Sequence[float]) -> Estimate:
 
 
 def correlation(x: Sequence[float], y: Sequence[float]) -> Estimate:
-    """Return Pearson's correlation with its bootstrap interval; None of fewer than three cases."""
+    """Return Pearson's correlation and its bootstrap interval; None below three cases."""
     n = len(x)
     if n < 3:
         return Estimate(None, None, None, n)
@@ -95,7 +95,7 @@ def correlation(x: Sequence[float], y: Sequence[float]) -> Estimate:
 
 
 def _pearson(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return Pearson's correlation of each row; NaN where one does not vary."""
+    """Return Pearson's correlation of each row; NaN if a row is constant."""
     a = a - a.mean(axis=1, keepdims=True)
     b = b - b.mean(axis=1, keepdims=True)
     size = np.sqrt((a**2).sum(1) * (b**2).sum(1))

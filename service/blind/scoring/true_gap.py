@@ -1,16 +1,15 @@
-"""Computes the gap between a fitted model and the truth, without noise.
+"""The noise-free gap between a fitted model and the truth.
 
-A diagnosis compares interfaces along their normals, so its gap is one of interfaces: skin that
-slides along itself opens none. Of the outline, along which skin slides by millimetres, the true one
-is a surface through the points that were on it; of the gland, whose boundary is thin and folded but
-goes with the tissue, it is where each point went. Both are given: `TrueGap.material_mm` follows
-points everywhere.
+A diagnosis compares interfaces along their normals, so skin that slides along itself opens no
+gap. The true outline, along which skin slides by millimetres, is a surface through the points
+that were on it. The boundary of the gland is thin and folded but moves with the tissue, so it
+is followed point by point. Both are given: `TrueGap.material_mm` follows points everywhere.
 
-Points of a diagnosis come from a noisy scan, so they lie a little off the true interfaces, on which
-the truth is known. Displacement is continuous across them: it is interpolated in space by cubic
-radial functions with a linear part (G. E. Fasshauer, Meshfree Approximation Methods with MATLAB,
-2007, chapters 6 and 8), from all interfaces at once. Taking the displacement of the nearest point
-of the truth would not do: pressed by a fifth, a point 0.3 mm off it is 0.06 mm elsewhere.
+The points of a diagnosis come from a noisy scan, so they are slightly off the true interfaces on
+which the truth is known. Displacement is continuous across them: it is interpolated in space by
+cubic radial functions with a linear part (G. E. Fasshauer, Meshfree Approximation Methods with
+MATLAB, 2007, chapters 6 and 8), from all interfaces at once. The displacement of the nearest true
+point is not accurate enough: at 20 % compression, a point 0.3 mm off is displaced by 0.06 mm more.
 """
 
 from dataclasses import dataclass
@@ -24,10 +23,10 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.blind.solver.material_points import OUTLINE
 
-# Points of the truth about each point: so many of a curved surface do not lie in a plane.
+# Number of nearest true points; this many points of a curved surface are not in a plane.
 NEIGHBOURS = 100
-# Points of a surface through which a paraboloid is laid, within some 8 mm where it is known at
-# 1500 points; those further out count less, and the last one e^-2.
+# Points for fitting a paraboloid, within about 8 mm if 1500 points are known; more distant ones
+# have less weight, the last e^-2.
 ON_SURFACE = 20
 
 
@@ -38,11 +37,11 @@ class TrueGap:
     Parameters
     ----------
     gap_mm : float
-        Of interfaces.
+        At the interfaces.
     scans_mm : tuple of float
-        The same of each scan.
+        The same for each scan.
     material_mm : float
-        Of points that go with the tissue.
+        At points that move with the tissue.
     """
 
     gap_mm: float
@@ -59,29 +58,29 @@ def true_gap(
     known: FloatArray,
     pressed: FloatArray | None = None,
 ) -> TrueGap:
-    """Return how far a model's interfaces are from the true ones.
+    """Return the distances of a model's interfaces from the true ones.
 
     Parameters
     ----------
     points : ndarray, shape (k, 3)
-        Of the scan at rest, in mm.
+        Points of the scan at rest, in mm.
     interface : ndarray of int, shape (k,)
         0 for the outline, 1 for the boundary of the glandular tissue.
     moved, normals : ndarray, shape (scans, k, 3)
-        Where the model puts them, in mm, and unit normals of the interface there.
+        Their positions in the model, in mm, and unit normals of the interface there.
     truth : Moved
-        Of the same scans, in the same order.
+        Truth of the same scans, in the same order.
     known : ndarray, shape (scans, k)
-        Distance along the normals, in mm, that the model is known to be off and that its
-        residuals are corrected by; subtracted.
+        Known error of the model along the normals, in mm, for which its residuals are
+        corrected; subtracted.
     pressed : ndarray, shape (scans, k), optional
-        How far each point is on a plate, 0 to 1, where the model flattens what was drawn above
-        its surface or below; see `workers.diagnosis.problem.pressed_points`.
+        Degree of contact of each point with a plate, 0 to 1; the model flattens points drawn
+        above or below the surface there; see `workers.diagnosis.problem.pressed_points`.
 
     Raises
     ------
     InputError
-        If the scans are not those of the truth, or the truth has too few points.
+        If the scans differ from those of the truth, or the truth has too few points.
     """
     true = material_points(points, truth)
     if moved.shape != true.shape or normals.shape != true.shape:
@@ -109,10 +108,10 @@ def _off_outline(
     truth: Moved,
     carried: FloatArray,
 ) -> FloatArray:
-    """Return how far outside of the true outline the model puts its own, shape (scans, k).
+    """Return the distance of the model's outline outside the true one, shape (scans, k).
 
-    Points that a noisy scan has put off the outline at rest are moved by as much as tissue between
-    them and their feet on it, as far as the model carries that along, (scans, k).
+    Points that a noisy scan has put off the outline at rest are moved like the tissue between
+    them and their feet on it, to the extent that the model carries this offset, (scans, k).
     """
     on = truth.interface == OUTLINE
     at_rest, went = truth.points[on], truth.displacement[:, on]
@@ -124,9 +123,9 @@ def _off_outline(
 
 
 def _height(points: FloatArray, normals: FloatArray, surface: FloatArray) -> FloatArray:
-    """Return how far above a surface points lie along their normals, shape (k,), in mm.
+    """Return the height of points above a surface along their normals, shape (k,), in mm.
 
-    The surface is a paraboloid through the nearest of the points that are known on it, (n, 3).
+    The surface is a paraboloid through the nearest of its known points, (n, 3).
     """
     distance, nearest = KDTree(surface).query(points, k=ON_SURFACE)
     distance, away = np.asarray(distance), surface[nearest] - points[:, None]
@@ -141,7 +140,7 @@ def _height(points: FloatArray, normals: FloatArray, surface: FloatArray) -> Flo
 
 
 def _tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return two unit vectors across each normal, shape (k, 3)."""
+    """Return two unit vectors perpendicular to each normal, shape (k, 3)."""
     least = np.eye(3)[np.abs(normals).argmin(axis=1)]
     first = np.cross(normals, least)
     first /= np.linalg.norm(first, axis=1)[:, None]
@@ -149,7 +148,7 @@ def _tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _normals(points: FloatArray, surface: FloatArray) -> FloatArray:
-    """Return normals of a surface beside points, of either sign, shape (k, 3)."""
+    """Return normals of a surface near points, of either sign, shape (k, 3)."""
     _, nearest = KDTree(surface).query(points, k=ON_SURFACE)
     patches = surface[nearest]
     patches = patches - patches.mean(axis=1, keepdims=True)
@@ -161,12 +160,12 @@ def _rms(values: FloatArray) -> float:
 
 
 def material_points(points: FloatArray, truth: Moved) -> FloatArray:
-    """Return where material points near the interfaces truly went, in mm.
+    """Return the true positions of material points near the interfaces, in mm.
 
     Parameters
     ----------
     points : ndarray, shape (k, 3)
-        At rest, in mm.
+        Positions at rest, in mm.
     truth : Moved
 
     Returns

@@ -12,12 +12,12 @@ ALONG_Y = ("y", [0, 1, 0])
 
 
 def read_case_settings(case: Path) -> dict[str, Any]:
-    """Return the settings in a case file.
+    """Read the settings in a case file.
 
     Raises
     ------
     InputError
-        If it cannot be read.
+        If the file cannot be read.
     """
     path = case / NAME
     try:
@@ -28,5 +28,5 @@ def read_case_settings(case: Path) -> dict[str, Any]:
 
 
 def is_along_y(load: Mapping[str, Any]) -> bool:
-    """Return whether a loaded scan was compressed along y, the default."""
+    """Return True if a loaded scan was compressed along y, the default."""
     return load.get("axis", "y") in ALONG_Y

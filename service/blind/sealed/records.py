@@ -1,4 +1,4 @@
-"""Holds a case with its truth and its answer: all that a score asks for."""
+"""A case with its truth and its answer, as needed for a score."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ FAILED: Answer = "failed"
 
 @dataclass(frozen=True)
 class Magnitude:
-    """One parameter: what was found, how sure that was, and what is true."""
+    """One parameter: the estimate, its standard deviation, and the true value."""
 
     name: str
     found: float
@@ -30,45 +30,45 @@ class CaseRecord:
     name, kind : str
     group : Group
     effects, families : tuple of str
-        That truly act, the dominant effect first; see `service.blind.sealed.truth.Cause`.
+        Effects that act, the dominant one first; see `service.blind.sealed.truth.Cause`.
     answer : str
-        The verdict, or "failed" where the diagnosis did not end.
+        The verdict, or "failed" if the diagnosis did not finish.
     primary : tuple of str
-        Effects accused, the more probable one first.
+        Accused effects, the most probable one first.
     primary_families : tuple of str
-        Of these.
+        Families of these effects.
     set90 : tuple of str
     probabilities : mapping of str to float
-        That each effect acts, as far as the data could tell; with "no-gap" and
+        Probability that each effect acts, as far as the data can show; with "no-gap" and
         "none-of-these".
     family_probabilities : mapping of str to float
-        That an effect of the family acts.
+        Probability that an effect of the family acts.
     alarm : float or None
         Log evidence against no gap.
     claimed_before_mm, claimed_after_mm : float or None
-        Gap beyond noise with the nominal model, and with the effects accused.
+        Gap beyond noise with the nominal model, and with the accused effects.
     true_before_mm, true_after_mm : float or None
         The same without noise, from the truth; see `service.blind.scoring.true_gap`.
     true_material_mm : float or None
-        The first of them, of points that go with the tissue.
+        The first of them, at points that move with the tissue.
     gap_interval_mm, share_interval : tuple of float or None
-        In which the gap before and the shrinkage are said to lie with 90 %.
+        Stated 90 % intervals of the gap before and of the shrinkage.
     claimed_share, held_out_share : float or None
-        By how much the effects are said to shrink the gap's square: averaged over the causes,
-        and with every scan judged by a fit to the others.
+        Stated reduction of the squared gap by the effects: averaged over the causes, and with
+        each scan predicted by a fit to the others.
     magnitudes : tuple of Magnitude
-        Of the true effect, where it was refitted and the truth has the same parameters.
+        Of the true effect, if it was refitted and the truth has the same parameters.
     strength : float or None
         True size of a single effect in standard deviations of its estimate; see
         `service.blind.scoring.magnitudes.strength`.
     lump_apart_mm : float or None
-        From the found centre of a lump to the true one.
+        Distance from the found centre of a lump to the true one.
     accused_by : mapping of str to (str or None)
-        Whom the baselines accuse.
+        The effect accused by each baseline.
     loudness : mapping of str to float
-        How loudly each of them does; see `service.blind.answering.baselines`.
+        The evidence of each baseline; see `service.blind.answering.baselines`.
     catalogue : int
-        How many effects were suspected.
+        Number of candidate effects.
     reason : str
         Why the diagnosis failed.
     """
@@ -104,49 +104,49 @@ class CaseRecord:
 
     @property
     def silent(self) -> bool:
-        """Return whether nothing is to be found: the model lacks nothing that data could show."""
+        """Return True if the model lacks nothing that data could show."""
         return self.group in ("control", "absorbed")
 
     @property
     def named(self) -> bool:
-        """Return whether the answer is one effect, or two that act together, without a doubt."""
+        """Return True if the answer is an effect, or two that act together, without doubt."""
         return self.answer == "effect"
 
     @property
     def first(self) -> str | None:
-        """Return the effect accused before all others."""
+        """Return the first accused effect."""
         return self.primary[0] if self.primary else None
 
     @property
     def right_family(self) -> bool:
-        """Return whether the effect accused first is of a true family."""
+        """Return True if the first accused effect is in a true family."""
         return bool(self.primary_families) and self.primary_families[0] in self.families
 
     @property
     def right_first(self) -> bool:
-        """Return whether the effect accused first acts, or is a relative of one that does."""
+        """Return True if the first accused effect acts, or is a relative of one that does."""
         return self.right_family if self.group == "relative" else self.first in self.effects
 
     @property
     def strictly_right(self) -> bool:
-        """Return whether somebody is accused, and nobody who does not act."""
+        """Return True if an effect is accused, and none that does not act."""
         return bool(self.primary) and set(self.primary) <= set(self.effects)
 
     @property
     def covered(self) -> bool:
-        """Return whether the 90 % set holds a true cause: no gap, an effect that acts, or none."""
+        """Return True if the 90 % set includes a true cause: no gap, an acting effect, or none."""
         return bool(set(self.set90) & set(self.true_causes))
 
     @property
     def true_causes(self) -> tuple[str, ...]:
-        """Return what a perfect diagnosis would be sure of."""
+        """Return the causes to which a perfect diagnosis would give probability one."""
         if self.silent:
             return (NO_GAP,)
         return self.effects or ((NONE_OF_THESE,) if self.group == "unlike" else ())
 
     @property
     def right(self) -> bool:
-        """Return whether the answer is the one that this group of cases asks for."""
+        """Return True if the answer is correct for this group of cases."""
         if self.silent:
             return self.answer == NO_GAP
         if self.group == "unlike":
@@ -155,12 +155,12 @@ class CaseRecord:
 
     @property
     def is_careful(self) -> bool:
-        """Return whether the answer sees a gap and claims no effect as sure."""
+        """Return True if the answer reports a gap but is not sure of any effect."""
         return self.answer in (NONE_OF_THESE, "cannot-be-told-apart")
 
     @property
     def true_share(self) -> float | None:
-        """Return by how much the effects accused truly shrink the gap's square."""
+        """Return the true reduction of the squared gap by the accused effects."""
         before, after = self.true_before_mm, self.true_after_mm
         if after is None or not before:
             return None

@@ -1,13 +1,13 @@
-"""Computes hashes that anybody can check with ``sha256sum``.
+"""Hashes that can be checked with ``sha256sum``.
 
 ::
 
-    of a folder     sha256 of what `sha256sum *` prints in it (with LC_ALL=C)
-    of a truth      sha256 of its salt, 32 random bytes, followed by the hash of its folder
-                    as text
+    of a folder          sha256 of the output of `sha256sum *` in it (with LC_ALL=C)
+    of a truth           sha256 of its salt, 32 random bytes, followed by the hash of its folder
+                         as text
 
-A salted hash says nothing about the truth before it is opened, although the truths
-are few enough to be tried one by one.
+A salted hash reveals nothing about the truth before it is opened, although there are few enough
+truths to try them one by one.
 """
 
 import hashlib
@@ -36,19 +36,19 @@ def file_hash(path: Path) -> str:
     Raises
     ------
     InputError
-        If it cannot be read.
+        If the file cannot be read.
     """
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(
-            f"Cannot read {path}: {error.strerror or error}. A sealed set is read as a whole."
+            f"Cannot read {path}: {error.strerror or error}. A sealed set must be complete."
         ) from error
 
 
 def folder_hash(folder: Path) -> str:
-    """Return the SHA-256 over names and content of the files in a folder; hidden ones do not count.
+    """Return the SHA-256 of names and content of the files in a folder, except hidden ones.
 
     Raises
     ------
@@ -56,21 +56,21 @@ def folder_hash(folder: Path) -> str:
         If the folder is missing or a file cannot be read.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder} is missing. A sealed set is read as a whole.")
+        raise InputError(f"{folder} is missing. A sealed set must be complete.")
     names = sorted(p.name for p in folder.iterdir() if p.is_file() and p.name[0] != ".")
     lines = (f"{file_hash(folder / name)}  {name}\n" for name in names)
     return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
 def salted_hash(salt: str, folder: Path) -> str:
-    """Return the hash under which a truth is sealed.
+    """Return the sealed hash of a truth.
 
     Parameters
     ----------
     salt : str
         See `new_salt`.
     folder : Path
-        Of the truth.
+        Folder of the truth.
     """
     content = folder_hash(folder).encode()
     return hashlib.sha256(bytes.fromhex(salt) + content).hexdigest()
@@ -84,17 +84,17 @@ def write_json(path: Path, record: Mapping[str, Any]) -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a record.
+    """Read a JSON record.
 
     Raises
     ------
     InputError
-        If it cannot be read, or is no record.
+        If it cannot be read, or is not a record.
     """
     try:
         record = parse_json(path.read_bytes(), str(path))
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
     if not isinstance(record, dict):
-        raise InputError(f"{path} holds no record: found {type(record).__name__}, expected {{..}}.")
+        raise InputError(f"{path} has no record: found {type(record).__name__}, expected {{..}}.")
     return record

@@ -1,4 +1,4 @@
-"""What a set is sealed against: the code of the diagnosis and all that it was told."""
+"""The diagnosis against which a set is sealed: its code and all its settings."""
 
 import subprocess
 from collections.abc import Mapping
@@ -14,26 +14,26 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.tasks.diagnosis_store import diagnosis_code
 
-# The kind of source that a blind case is.
+# The source kind of a blind case.
 SCANNED_CASE = "scanned case"
 
 
 @dataclass(frozen=True, slots=True)
 class FrozenDiagnosis:
-    """The diagnosis as it stands.
+    """The current diagnosis.
 
     Parameters
     ----------
     version : str
-        Of Palpate.
+        Version of Palpate.
     commit : str or None
         None outside of a repository.
     code : str
-        A digest of all source that a diagnosis depends on.
+        Digest of all source that a diagnosis depends on.
     settings : mapping
         All of `diagnosis.settings.values`, by its groups, and the ``effects`` with their priors.
     settings_digest : str
-        Of these.
+        Digest of the settings.
     """
 
     version: str
@@ -44,12 +44,12 @@ class FrozenDiagnosis:
 
 
 def frozen(nodes: int = SETTINGS.mesh.nodes) -> FrozenDiagnosis:
-    """Return the diagnosis as it stands.
+    """Return the current diagnosis.
 
     Parameters
     ----------
     nodes : int
-        Of the working mesh.
+        Nodes of the working mesh.
     """
     meshed = replace(SETTINGS, mesh=replace(SETTINGS.mesh, nodes=nodes))
     settings = asdict(meshed) | {"effects": [_effect(e) for e in CATALOGUE.effects]}
@@ -59,12 +59,12 @@ def frozen(nodes: int = SETTINGS.mesh.nodes) -> FrozenDiagnosis:
 
 
 def differences(sealed: Mapping[str, Any], now: FrozenDiagnosis) -> list[str]:
-    """Return what of the diagnosis is not as it was sealed, in words; empty if nothing.
+    """Return the parts of the diagnosis that have changed since the seal; empty if none.
 
     Parameters
     ----------
     sealed : mapping
-        As a manifest holds it.
+        As in a manifest.
     now : FrozenDiagnosis
     """
     found = ["code"] if sealed["code"] != now.code else []
@@ -88,7 +88,7 @@ def _effect(effect: Effect) -> dict[str, object]:
 
 
 def _commit() -> str | None:
-    """Return that of the repository in which the code lies, with a plus if it has changed."""
+    """Return the commit of the code's repository, with a plus if files have changed."""
     here = Path(workers.__file__ or "").parent
     command = ["git", "-C", str(here), "describe", "--always", "--exclude=*", "--dirty=+"]
     try:

@@ -1,17 +1,17 @@
-"""Finds a blind set on disk, and checks that it still is what was sealed.
+"""The files of a blind set, and checks of its seals.
 
 ::
 
-    SET/manifest.json         hashes of all cases and truths, and the diagnosis as it stood
-    SET/cases/<id>/           what a diagnosis may see
-    SET/answers/<id>.json     what it said, and <id>.npz: where it put the points
-    SET/answers.json          hashes of all answers
-    SET-truth/plan.json       seeds, kinds and salts
-    SET-truth/<id>/           truth.json, truth.npz
+    SET/manifest.json          hashes of all cases and truths, and the diagnosis at that time
+    SET/cases/<id>/            the input of a diagnosis
+    SET/answers/<id>.json      its answer, and <id>.npz: its positions of the points
+    SET/answers.json           hashes of all answers
+    SET-truth/plan.json        seeds, kinds and salts
+    SET-truth/<id>/            truth.json, truth.npz
 
-Nothing in SET tells one kind of case from another: names are drawn, cases lie in the order
-of their names, and the truth lies elsewhere. Answers on the scans pressed along y alone are
-in ``answers-y`` and ``answers-y.json``.
+Nothing in SET reveals the kind of a case: names are random, cases are in the order of their
+names, and the truth is stored elsewhere. Answers to the scans pressed along y alone are in
+``answers-y`` and ``answers-y.json``.
 """
 
 from dataclasses import dataclass
@@ -25,31 +25,31 @@ Directions = Literal["all", "y"]
 
 
 class CaseHashes(TypedDict):
-    """Hashes of the folder of a case, and of its truth with its salt."""
+    """Hashes of the folder of a case, and of its salted truth."""
 
     case: str
     truth: str
 
 
 class Manifest(TypedDict):
-    """What is sealed when a set is made: every case, and the diagnosis as it stood."""
+    """The seal of a new set: every case, and the diagnosis at that time."""
 
     cases: dict[str, CaseHashes]
     diagnosis: dict[str, Any]
 
 
 class AnswerHashes(TypedDict):
-    """Hashes of what was said of a case; ``npz`` is None where the diagnosis failed."""
+    """Hashes of the answer to a case; ``npz`` is None if the diagnosis failed."""
 
     json: str
     npz: str | None
 
 
 class SealedAnswers(TypedDict):
-    """What is sealed when a set is answered.
+    """The seal of an answered set.
 
-    ``manifest`` is the hash of the set, ``diagnosis`` the one that answered, ``declared`` says
-    why it is not the one of the manifest.
+    ``manifest`` is the hash of the set, ``diagnosis`` the one that answered, ``declared`` the
+    reason if it is not the one of the manifest.
     """
 
     manifest: str
@@ -60,7 +60,7 @@ class SealedAnswers(TypedDict):
 
 
 class PlannedCase(TypedDict):
-    """A case that is to be made: its name, seed and kind, and the salt of its truth."""
+    """A planned case: its name, seed and kind, and the salt of its truth."""
 
     id: str
     seed: int
@@ -81,12 +81,12 @@ class BlindSet:
 
     @property
     def manifest(self) -> Path:
-        """Return the file of what was sealed."""
+        """Return the path of the manifest."""
         return self.root / "manifest.json"
 
     @property
     def cases(self) -> Path:
-        """Return the folder that holds a folder for each case."""
+        """Return the folder with one folder per case."""
         return self.root / "cases"
 
     def case(self, name: str) -> Path:
@@ -98,32 +98,32 @@ class BlindSet:
         return self.root / _suffixed("answers", directions)
 
     def answer(self, name: str, directions: Directions) -> Path:
-        """Return the file of what was said of one case."""
+        """Return the path of the answer to one case."""
         return self.answers(directions) / f"{name}.json"
 
     def points(self, name: str, directions: Directions) -> Path:
-        """Return the file of where the points of one case went."""
+        """Return the path of the final positions of one case's points."""
         return self.answers(directions) / f"{name}.npz"
 
     def sealed_answers(self, directions: Directions) -> Path:
-        """Return the file of the hashes of all answers."""
+        """Return the path of the hashes of all answers."""
         return self.root / f"{_suffixed('answers', directions)}.json"
 
     def truth_beside(self) -> Path:
-        """Return where truths lie unless somebody says otherwise."""
+        """Return the default folder of the truths."""
         root = self.root.absolute()
         return root.with_name(f"{root.name}-truth")
 
 
 @dataclass(frozen=True)
 class Truths:
-    """Paths of the truths, which no diagnosis is given."""
+    """Paths of the truths, which no diagnosis receives."""
 
     root: Path
 
     @property
     def plan(self) -> Path:
-        """Return the file of seeds, kinds and salts."""
+        """Return the path of the seeds, kinds and salts."""
         return self.root / "plan.json"
 
     def of(self, name: str) -> Path:
@@ -132,7 +132,7 @@ class Truths:
 
 
 def read_manifest(blind: BlindSet) -> Manifest:
-    """Read what was sealed when the set was made.
+    """Read the manifest of a set.
 
     Raises
     ------
@@ -141,12 +141,12 @@ def read_manifest(blind: BlindSet) -> Manifest:
     """
     if not blind.manifest.is_file():
         raise InputError(
-            f"{blind.root} is no sealed set: it has no {blind.manifest.name}. Make one with "
-            f"`palpate blind make {blind.root}`; the same command finishes one that is half made."
+            f"{blind.root} is not a sealed set: it has no {blind.manifest.name}. Make one with "
+            f"`palpate blind make {blind.root}`; the same command completes an unfinished one."
         )
     record = read_json(blind.manifest)
     if not isinstance(record.get("cases"), dict) or not isinstance(record.get("diagnosis"), dict):
-        raise InputError(f"{blind.manifest} is no manifest: expected `cases` and `diagnosis`.")
+        raise InputError(f"{blind.manifest} is not a manifest: expected `cases` and `diagnosis`.")
     return cast(Manifest, record)
 
 
@@ -156,7 +156,7 @@ def check_cases(blind: BlindSet, manifest: Manifest) -> None:
     Raises
     ------
     InputError
-        Naming the cases that are missing, added or changed.
+        Names the cases that are missing, added or changed.
     """
     sealed = manifest["cases"]
     there = {p.name for p in blind.cases.iterdir() if p.is_dir() and p.name[0] != "."}
@@ -167,7 +167,7 @@ def check_cases(blind: BlindSet, manifest: Manifest) -> None:
     differences = "; ".join(f"{word}: {', '.join(names)}" for word, names in what.items() if names)
     if differences:
         raise InputError(
-            f"{blind.cases} is not what {blind.manifest.name} seals ({differences}). Restore it, "
+            f"{blind.cases} does not match {blind.manifest.name} ({differences}). Restore it, "
             "or make a new set."
         )
 
@@ -178,7 +178,7 @@ def check_truths(truths: Truths, manifest: Manifest) -> None:
     Raises
     ------
     InputError
-        Naming the truths that are missing or changed.
+        Names the truths that are missing or changed.
     """
     plan = read_json(truths.plan)
     salts = {entry["id"]: entry["salt"] for entry in plan["cases"]}
@@ -189,13 +189,13 @@ def check_truths(truths: Truths, manifest: Manifest) -> None:
     ]
     if wrong:
         raise InputError(
-            f"{truths.root} does not hold the sealed truth of {', '.join(wrong)}. Give the folder "
-            "that was made with the set by --truth, unchanged."
+            f"{truths.root} does not have the sealed truth of {', '.join(wrong)}. Give the "
+            "unchanged folder that was made with the set, with --truth."
         )
 
 
 def check_answers(blind: BlindSet, directions: Directions) -> SealedAnswers:
-    """Read the sealed answers and compare them with manifest and answers.
+    """Read the sealed answers, and compare them with the manifest and the answers.
 
     Raises
     ------
@@ -205,12 +205,12 @@ def check_answers(blind: BlindSet, directions: Directions) -> SealedAnswers:
     path = blind.sealed_answers(directions)
     if not path.is_file():
         raise InputError(
-            f"{blind.root} has no {path.name}: not all cases are answered. Go on with "
+            f"{blind.root} has no {path.name}: not all cases are answered. Continue with "
             f"`palpate blind run {blind.root} --directions {directions}`."
         )
     record = cast(SealedAnswers, read_json(path))
     if record["manifest"] != file_hash(blind.manifest):
-        raise InputError(f"{path} answers another manifest than {blind.manifest}.")
+        raise InputError(f"{path} belongs to another manifest than {blind.manifest}.")
     wrong = [
         name
         for name, hashes in sorted(record["answers"].items())
@@ -225,7 +225,7 @@ def check_answers(blind: BlindSet, directions: Directions) -> SealedAnswers:
 
 
 def answer_hashes(blind: BlindSet, name: str, directions: Directions) -> AnswerHashes:
-    """Hash what was said of a case."""
+    """Return the hashes of the answer to a case."""
     points = blind.points(name, directions)
     return {
         "json": file_hash(blind.answer(name, directions)),

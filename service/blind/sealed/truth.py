@@ -1,4 +1,4 @@
-"""Reads the truth of a case: the cause that it was made with, and where its points went."""
+"""The truth of a case: the cause with which it was made, and the displacements of its points."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,14 +15,14 @@ from palpate.workers.spec import validated
 
 # A blind case is a breast.
 CATALOGUE = catalogue_of("breast")
-# The effect whose place is scored.
+# The effect whose position is scored.
 MAPPED = next(e for e in CATALOGUE.effects if e.is_mapped)
 CONFOUNDED = {e.name for e in CATALOGUE.effects if e.is_confounded}
 
 Group = Literal["control", "absorbed", "single", "pair", "triple", "unlike", "relative"]
-"""What a case asks of a diagnosis: to keep still (``control``, ``absorbed``), to name one
-effect, two or three, to say that none of the catalogue is like it (``unlike``), or to name the
-family of an effect that is not in the catalogue (``relative``)."""
+"""The expected answer to a case: none (``control``, ``absorbed``), one effect, two or three, none
+of the catalogue (``unlike``), or the family of an effect that is not in the catalogue
+(``relative``)."""
 
 GROUPS: dict[Group, str] = {
     "control": "nothing missing",
@@ -40,18 +40,18 @@ class _Record(BaseModel):
 
 
 class Cause(_Record):
-    """One thing that was made different.
+    """One deviation of a case.
 
     Parameters
     ----------
     kind : str
-        In the words of who made the case.
+        Name used by the maker of the case.
     effect : str or None
-        In those of the catalogue, if it lists it.
+        Name in the catalogue, if it is listed.
     family : str or None
-        Of the effect, or of its relatives in the catalogue.
+        Family of the effect, or of its relatives in the catalogue.
     parameters : dict
-        Magnitudes, units in their names.
+        Magnitudes, with units in their names.
     """
 
     kind: str
@@ -61,14 +61,14 @@ class Cause(_Record):
 
 
 class Truth(_Record):
-    """``truth.json``, as far as a score asks for it."""
+    """The part of ``truth.json`` needed for a score."""
 
     kind: str
     causes: tuple[Cause, ...]
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Return the effects of the catalogue that act."""
+        """Return the acting effects of the catalogue."""
         return tuple(c.effect for c in self.causes if c.effect is not None)
 
     @property
@@ -78,7 +78,7 @@ class Truth(_Record):
 
     @property
     def group(self) -> Group:
-        """Return what the case asks of a diagnosis."""
+        """Return the expected kind of answer."""
         if not self.causes:
             return "control"
         if len(self.effects) < len(self.causes):
@@ -91,16 +91,16 @@ class Truth(_Record):
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """Where the interfaces went, without noise.
+    """Noise-free displacements of the interfaces.
 
     Parameters
     ----------
     points : ndarray, shape (k, 3)
-        On the true interfaces at rest, in mm.
+        Points on the true interfaces at rest, in mm.
     interface : ndarray of int, shape (k,)
         0 for the outline, 1 for the boundary of the glandular tissue.
     displacement : ndarray, shape (scans, k, 3)
-        In mm.
+        Displacements in mm.
     """
 
     points: FloatArray
@@ -114,19 +114,19 @@ def read_truth(folder: Path) -> Truth:
     Raises
     ------
     InputError
-        If the truth is missing or lacks something.
+        If the truth is missing or incomplete.
     """
     path = folder / "truth.json"
     return validated(Truth, read_json(path), str(path))
 
 
 def read_moved(folder: Path) -> Moved:
-    """Read where the points of a case went.
+    """Read the displacements of a case's points.
 
     Raises
     ------
     InputError
-        If the arrays are missing or do not fit together.
+        If the arrays are missing or their shapes do not match.
     """
     path = folder / "truth.npz"
     try:
@@ -135,7 +135,7 @@ def read_moved(folder: Path) -> Moved:
             displacement = arrays["displacement"]
     except (OSError, KeyError, ValueError) as error:
         raise InputError(
-            f"{path} must hold points, interface and displacement: {error}."
+            f"{path} must have points, interface and displacement: {error}."
         ) from error
     k = len(points)
     fits = points.shape == (k, 3) and interface.shape == (k,) and displacement.ndim == 3

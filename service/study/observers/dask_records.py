@@ -1,4 +1,4 @@
-"""Sends small records of a study to the scheduler of its cluster, for `cluster.dask_tab`."""
+"""Records of a study as events of its cluster's scheduler, for `cluster.dask_tab`."""
 
 import asyncio
 import logging
@@ -21,14 +21,14 @@ _log = logging.getLogger(__name__)
 
 
 class SchedulerEvents:
-    """Sends records as events of the scheduler, topic `TOPIC`, without waiting for it.
+    """A background sender of records as events of the scheduler, topic `TOPIC`.
 
-    One event is a list of records in the order in which they arose.
+    One event is a list of records in chronological order.
 
     Parameters
     ----------
     client : distributed.Client
-        Connected to the scheduler. That events are lost with it is no fault of the sender's.
+        Connected to the scheduler. Events lost because it stops are not an error.
     """
 
     def __init__(self, client: Client) -> None:
@@ -39,30 +39,30 @@ class SchedulerEvents:
 
     @property
     def are_due(self) -> bool:
-        """Return whether nothing was sent for `SEND_EVERY_S`."""
+        """Return True if nothing has been sent for `SEND_EVERY_S`."""
         return time.monotonic() - self._sent >= SEND_EVERY_S
 
     def add(self, record: dict[str, Any]) -> None:
-        """Keep a record for the next event."""
+        """Add a record to the next event."""
         self._waiting.append(record)
 
     def send(self) -> None:
-        """Send what waits."""
+        """Send the pending records."""
         records, self._waiting = self._waiting, []
         self._sent = time.monotonic()
         self._client.loop.add_callback(self._log_event, records)
 
     async def _log_event(self, records: list[dict[str, Any]]) -> None:
         event = {"client": self._client.id, "records": records}
-        async with self._turn:  # Dask would send two at once, on two connections
+        async with self._turn:  # or Dask would send two at once, on two connections
             try:
                 await self._client.scheduler.log_event(topic=TOPIC, msg=event)
             except Exception as error:
-                _log.debug("The scheduler has not got %d records: %r", len(records), error)
+                _log.debug("%d records have not reached the scheduler: %r", len(records), error)
 
 
 class DaskRecords(Observer):
-    """Tells the scheduler what happens in a study; endings every `SEND_EVERY_S` at most.
+    """Observer that sends events to the scheduler; endings every `SEND_EVERY_S` at most.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class DaskRecords(Observer):
         self._ranked = BestSoFar()
 
     def started(self, facts: StudyFacts) -> None:
-        """Say what is to be expected."""
+        """Send the size of the study."""
         self._study = f"{socket.gethostname()}:{facts.folder}"
         self._add("started", name=facts.name, most=facts.most_evaluations)
         self._events.send()
@@ -84,15 +84,15 @@ class DaskRecords(Observer):
     def prepared(
         self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
     ) -> None:
-        """Say nothing: Dask shows these tasks itself."""
+        """Do nothing: Dask shows these tasks itself."""
 
     def generation_begun(self, number: int, evaluations: int) -> None:
-        """Say that a generation begins, at once."""
+        """Send the start of a generation immediately."""
         self._add("generation begun", number=number)
         self._events.send()
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
-        """Say how an evaluation ended, and what it took if that was now."""
+        """Queue the ending of an evaluation, with its timings if it was computed now."""
         computed = not replayed and not record.reused
         self._ranked.add(record)
         best = self._ranked.record
@@ -107,12 +107,12 @@ class DaskRecords(Observer):
             self._events.send()
 
     def generation_ended(self, number: int, generation: Generation) -> None:
-        """Say that the barrier is passed, at once."""
+        """Send the end of a generation immediately."""
         self._add("generation ended", number=number)
         self._events.send()
 
     def stopped(self, reason: str) -> None:
-        """Say why the search is over."""
+        """Send the reason why the search stopped."""
         self._add("stopped", reason=reason)
         self._events.send()
 

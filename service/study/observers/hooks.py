@@ -1,17 +1,17 @@
-"""Calls observers of a study: the loop reports what happened and knows no observer.
+"""Events of a study: the loop reports them without knowing its observers.
 
 ::
 
     started            once, before anything is sent to the cluster
     prepared           the case and the target are in the store
-    generation_begun   so many candidates are about to be evaluated
-    evaluation_ended   once for each ending that is journalled, in order of arrival
+    generation_begun   candidates of a generation are about to be evaluated
+    evaluation_ended   once for each saved ending, in order of arrival
     generation_ended   all scores of a population are known
-    stopped            the search has found its end
+    stopped            the search has ended
 
-On a resumed study the generations that the journal holds are reported again, in
-order, so that an observer sees the same events however often a study was
-interrupted; endings that were journalled before are reported with ``replayed=True``.
+When a study is resumed, the generations in the journal are reported again, in order, so an
+observer sees the same events regardless of interruptions; endings from the journal are
+reported with ``replayed=True``.
 """
 
 import logging
@@ -29,20 +29,20 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class StudyFacts:
-    """What is known of a study before it runs.
+    """Facts about a study that are known before it runs.
 
     Parameters
     ----------
     name : str
         As in the study file.
     folder : str
-        Where the journal lies.
+        The folder of the journal.
     most_evaluations : int
-        If the search runs to its last generation.
+        Number of evaluations if the search runs to its last generation.
     generations : int
-        At most.
+        Maximum number of generations.
     workers : int
-        Threads that evaluate, at the start.
+        Number of threads for evaluations at the start.
     dashboard : str
         Address of Dask's page; empty if there is none.
     objective : Objective
@@ -58,48 +58,47 @@ class StudyFacts:
     objective: Objective = GSF
 
 
-class StopSearch(Exception):  # noqa: N818 - a wish, no error
+class StopSearch(Exception):  # noqa: N818 - a request, not an error
     """Raised by an observer to end a search; its text becomes the reason.
 
-    The generation that is under way is finished first, so that the study has a score for each of
-    its candidates.
+    The current generation is finished first, so that each of its candidates has a score.
     """
 
 
 class Observer:
-    """Receives the events of a study; override those of interest.
+    """Base class for receivers of the events of a study; override the methods of interest.
 
     A method that raises `StopSearch` ends the search.
     """
 
     def started(self, facts: StudyFacts) -> None:
-        """Note that the loop begins."""
+        """Handle the start of the loop."""
 
     def prepared(
         self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
     ) -> None:
-        """Note that the case or the target is in the store."""
+        """Handle the case or the target having been stored."""
 
     def generation_begun(self, number: int, evaluations: int) -> None:
-        """Note that a generation of so many evaluations begins."""
+        """Handle the start of a generation with a number of evaluations."""
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
-        """Note the ending of one candidate, which the journal has."""
+        """Handle the saved ending of one candidate."""
 
     def generation_ended(self, number: int, generation: Generation) -> None:
-        """Note that all candidates of a population have their scores."""
+        """Handle the end of a generation, all of whose scores are known."""
 
     def stopped(self, reason: str) -> None:
-        """Note that the search is over."""
+        """Handle the end of the search."""
 
 
 class Hooks(Observer):
-    """Passes everything on to all observers; one that fails is dropped, not the study.
+    """Dispatch of every event to all observers; an observer that fails is dropped.
 
     Attributes
     ----------
     stop_reason : str or None
-        Why an observer wants the search to end.
+        The reason given by an observer to stop the search.
     """
 
     def __init__(self, observers: Iterable[Observer] = ()) -> None:
@@ -107,7 +106,7 @@ class Hooks(Observer):
         self.stop_reason: str | None = None
 
     def add(self, observer: Observer) -> None:
-        """Pass everything on to one more."""
+        """Add an observer."""
         self._observers.append(observer)
 
     def _call(self, hook: str, *args: Any) -> None:
@@ -121,27 +120,27 @@ class Hooks(Observer):
                 self._observers.remove(observer)
 
     def started(self, facts: StudyFacts) -> None:
-        """Pass the event on."""
+        """Pass the event on to all observers."""
         self._call("started", facts)
 
     def prepared(
         self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
     ) -> None:
-        """Pass the event on."""
+        """Pass the event on to all observers."""
         self._call("prepared", what, record)
 
     def generation_begun(self, number: int, evaluations: int) -> None:
-        """Pass the event on."""
+        """Pass the event on to all observers."""
         self._call("generation_begun", number, evaluations)
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
-        """Pass the event on."""
+        """Pass the event on to all observers."""
         self._call("evaluation_ended", record, replayed)
 
     def generation_ended(self, number: int, generation: Generation) -> None:
-        """Pass the event on."""
+        """Pass the event on to all observers."""
         self._call("generation_ended", number, generation)
 
     def stopped(self, reason: str) -> None:
-        """Pass the event on."""
+        """Pass the event on to all observers."""
         self._call("stopped", reason)

@@ -1,4 +1,4 @@
-"""Shows a study while it runs: a live panel on a terminal, plain lines elsewhere."""
+"""Progress of a running study: a live panel on a terminal, plain lines elsewhere."""
 
 import math
 import time
@@ -25,17 +25,17 @@ LINE_EVERY_S = 10.0
 
 
 def progress_observer(console: Console) -> "Progress":
-    """Return what suits the console: a live panel on a terminal, lines in a log."""
+    """Return a live panel for a terminal, plain lines for a log."""
     return LiveProgress(console) if console.is_terminal else PlainProgress(console)
 
 
 class Progress(Observer):
-    """Counts evaluations; `LiveProgress` and `PlainProgress` show the counts.
+    """Counts of evaluations, displayed by `LiveProgress` and `PlainProgress`.
 
     Parameters
     ----------
     console : rich.console.Console
-        Where to show it.
+        The output console.
     """
 
     def __init__(self, console: Console) -> None:
@@ -53,27 +53,27 @@ class Progress(Observer):
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Stop showing."""
+        """Stop the display."""
 
     def started(self, facts: StudyFacts) -> None:
-        """Remember what to expect."""
+        """Store the facts of the study."""
         self.facts = facts
         self.phase = "preparing body and mesh"
 
     def prepared(
         self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
     ) -> None:
-        """Say what comes next."""
+        """Set the next phase."""
         self.phase = "making the target" if what == "case" else "searching"
 
     def generation_begun(self, number: int, evaluations: int) -> None:
-        """Count anew within the generation."""
+        """Reset the counts of the generation."""
         self.phase = "searching"
         self.evaluations = evaluations
         self.ended_in_generation = 0
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
-        """Count, and remember the best."""
+        """Count the evaluation, and update the best."""
         self.counts[record.status.value] += 1
         self.ended_in_generation += 1
         if not replayed and not record.reused:
@@ -81,12 +81,12 @@ class Progress(Observer):
         self.ranked.add(record)
 
     def generation_ended(self, number: int, generation: Generation) -> None:
-        """Count the complete generations."""
+        """Count the complete generation."""
         self.complete = number + 1
         self.evaluations = 0
 
     def stopped(self, reason: str) -> None:
-        """Say why the search has stopped."""
+        """Store the reason why the search stopped."""
         self.phase = f"stopped: {reason}"
 
     @property
@@ -101,13 +101,13 @@ class Progress(Observer):
 
     @property
     def per_minute(self) -> float:
-        """Return the evaluations per minute that this run computes; 0 while unknown."""
+        """Return the evaluations per minute computed by this run; 0 if unknown."""
         workers = 1 if self.facts is None else self.facts.workers
         return self._pace.per_minute(workers) or 0.0
 
     @property
     def left_s(self) -> float:
-        """Return the seconds to the last generation at the rate so far; infinite when unknown."""
+        """Return the seconds to the last generation at the current rate; infinite if unknown."""
         most = 0 if self.facts is None else self.facts.most_evaluations
         return left_s(self.counts, most, self.per_minute)
 
@@ -140,7 +140,7 @@ class Progress(Observer):
 
 
 class LiveProgress(Progress):
-    """A panel that redraws itself."""
+    """A live panel."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(console)
@@ -164,14 +164,14 @@ class LiveProgress(Progress):
 
 
 class PlainProgress(Progress):
-    """One line for each generation, and one now and then within it."""
+    """One line for each generation, and occasional ones within it."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(console)
         self._last = 0.0
 
     def started(self, facts: StudyFacts) -> None:
-        """Print where the study runs."""
+        """Print the location of the study and of its page."""
         super().started(facts)
         where = f", dashboard {facts.dashboard}" if facts.dashboard else ""
         self._line(f"{facts.name}: {facts.workers} workers, study folder {facts.folder}{where}")
@@ -185,7 +185,7 @@ class PlainProgress(Progress):
         self._line(f"{what} prepared")
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
-        """Print how far the study is, now and then."""
+        """Print the progress occasionally."""
         super().evaluation_ended(record, replayed)
         if not replayed and time.monotonic() - self._last >= LINE_EVERY_S:
             shown = [row for row in self.rows() if row[0] not in ("phase", "page", "dashboard")]
@@ -204,7 +204,7 @@ class PlainProgress(Progress):
         self._line(f"generation {number + 1} done: {text}; {self.ended} evaluations")
 
     def stopped(self, reason: str) -> None:
-        """Print why the search is over."""
+        """Print the reason why the search stopped."""
         super().stopped(reason)
         self._line(f"stopped: {reason}")
 
@@ -214,7 +214,7 @@ class PlainProgress(Progress):
 
 
 def clock(seconds: float) -> str:
-    """Write a duration for a reader.
+    """Return a duration as text.
 
     Examples
     --------

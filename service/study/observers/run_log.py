@@ -1,4 +1,4 @@
-"""Keeps palpate.log in the folder of a study: what happened when, tracebacks included."""
+"""The log ``palpate.log`` in the folder of a study: events with their times, and tracebacks."""
 
 import logging
 import math
@@ -22,9 +22,9 @@ FORMAT = "%(asctime)s %(levelname)s %(message)s"
 
 
 class _LogFile(logging.FileHandler):
-    """A log is no reason to stop a study: what cannot be written is left out.
+    """A log file that never stops a study: records that cannot be written are skipped.
 
-    Where several studies run in threads of one process, each log has its own thread's records.
+    If several studies run in threads of one process, each log has the records of its own thread.
     """
 
     def __init__(self, path: Path) -> None:
@@ -32,7 +32,7 @@ class _LogFile(logging.FileHandler):
         self._thread = threading.get_ident()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Pass the records of our own thread and of the one that writes the page."""
+        """Accept records of this study's thread and of the one that writes the page."""
         ours = record.thread == self._thread or record.threadName == "page"
         return ours and bool(super().filter(record))
 
@@ -44,12 +44,12 @@ class _LogFile(logging.FileHandler):
                 self.handleError(record)
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Leave it out."""
+        """Skip the record."""
 
 
 @contextmanager
 def logging_to(path: Path) -> Iterator["RunLog"]:
-    """Append what `service` logs to a file; the folder is made by others.
+    """Append the log records of `service` to a file in an existing folder.
 
     Parameters
     ----------
@@ -72,19 +72,19 @@ def logging_to(path: Path) -> Iterator["RunLog"]:
         handler.close()
 
 
-_levels: list[int] = []  # before each log that is open
+_levels: list[int] = []  # the level before each open log
 _levels_lock = threading.Lock()
 
 
 def _lower_level(logger: logging.Logger) -> None:
-    """Let a logger pass INFO while a log is open."""
+    """Make a logger accept INFO while a log is open."""
     with _levels_lock:
         _levels.append(logger.level)
         logger.setLevel(logging.INFO)
 
 
 def _restore_level(logger: logging.Logger) -> None:
-    """Give a logger its level back when the last log is closed."""
+    """Restore a logger's level when the last log is closed."""
     with _levels_lock:
         before = _levels.pop()
         if not _levels:
@@ -92,21 +92,21 @@ def _restore_level(logger: logging.Logger) -> None:
 
 
 class RunLog(Observer):
-    """Logs the events of a study."""
+    """Observer that logs the events of a study."""
 
     def __init__(self) -> None:
         self._ranked = BestSoFar()
         self._objective = GSF
 
     def started(self, facts: StudyFacts) -> None:
-        """Log what begins, and where."""
+        """Log the study, its workers and its folder."""
         self._objective = facts.objective
         _log.info("%s runs on %d workers %s", facts.name, facts.workers, facts.dashboard)
 
     def prepared(
         self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
     ) -> None:
-        """Log that body or target are there."""
+        """Log that the body or target is ready."""
         _log.info("%s prepared: %s", what, dict(record))
 
     def generation_begun(self, number: int, evaluations: int) -> None:
@@ -114,7 +114,7 @@ class RunLog(Observer):
         _log.info("generation %d begun: %d candidates", number + 1, evaluations)
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
-        """Log what has failed; the journal has the rest."""
+        """Log a failed evaluation; the others are in the journal only."""
         self._ranked.add(record)
         if replayed or record.status is Status.DONE:
             return
@@ -128,7 +128,7 @@ class RunLog(Observer):
         _log.info("generation %d done: best %s %.6g", number + 1, self._objective.axis, score)
 
     def stopped(self, reason: str) -> None:
-        """Log why the search has stopped."""
+        """Log the reason why the search stopped."""
         _log.info("stopped: %s", reason)
 
     def note(self, text: str) -> None:

@@ -1,1 +1,1 @@
-"""The chapters of the book, one file each: results in, words, tables and pictures out."""
+"""Chapters of the book, one module each: from results to text, tables and pictures."""

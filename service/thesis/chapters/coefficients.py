@@ -1,4 +1,4 @@
-"""The chapter of the 28 similarity coefficients."""
+"""Chapter on the 28 similarity coefficients."""
 
 from palpate.service.formatting import number
 from palpate.service.report.drawing.pictures import picture
@@ -26,13 +26,13 @@ def chapter(found: CoefficientsResult, cost: Cost | None) -> Chapter:
     )
     return Chapter(
         "coefficients",
-        "Which coefficients compare two bodies",
+        "Coefficients for comparing two bodies",
         "Thesis 3.3.2, 3.3.3",
         verdict,
-        "A bar is bent by a force F0 and by eight wrong ones; 28 coefficients compare each with "
-        "the first. Hausdorff variants that do not rank deformations 5 to 7 worst are rejected; of "
-        "the others D22 (the modified Hausdorff distance) is taken. A rotated cylinder decides "
-        "for Jaccard against Dice. No size, material or force is printed.",
+        "A bar is bent by a force F0 and by eight wrong ones; 28 coefficients compare each result "
+        "with the first. Hausdorff variants that do not rank deformations 5 to 7 worst are "
+        "rejected; of the others D22 (the modified Hausdorff distance) is chosen. A rotated "
+        "cylinder decides between Jaccard and Dice. No size, material or force is printed.",
         f"A bar of {LENGTH_MM:g} × {SIDE_MM:g} × {SIDE_MM:g} mm, nearly incompressible, "
         f"{bar.nodes} nodes, voxels of {bar.voxel_mm:g} mm. {1000 * GOLD_FORCE_N:g} mN bend its "
         f"end by {number(abs(bar.gold_tip_mm[0]), 3)} mm. The cylinder: {CYLINDER_MM:g} mm long, "
@@ -43,7 +43,7 @@ def chapter(found: CoefficientsResult, cost: Cost | None) -> Chapter:
                 charts.coefficient_curves(selection),
                 "28 coefficients over the eight deformations of the bar, normalised.",
                 "Each coefficient over its largest magnitude (thesis Fig. 3.5). Dashed: "
-                "rejected by the argument of the thesis.",
+                "rejected by the criterion of the thesis.",
             ),
             picture(
                 charts.cylinder_curves(found.cylinder),
@@ -53,11 +53,11 @@ def chapter(found: CoefficientsResult, cost: Cost | None) -> Chapter:
         ),
         differences=(
             *_none_rejected(found),
-            "The directions of the forces were in a figure that is not available. They are read "
-            "so that the deformations, in the order of the thesis, are further and further from "
-            "the gold one.",
-            "Means and standard deviations run over boundary voxels, which is what the printed "
-            "distances of later tables imply (the formulas say all voxels).",
+            "The directions of the forces were in a figure that is not available. They are "
+            "chosen so that the deformations, in the order of the thesis, differ more and more "
+            "from the gold one.",
+            "Means and standard deviations are over boundary voxels, as the printed distances "
+            "of later tables imply (the formulas use all voxels).",
         ),
         costs=cost_rows(cost, "not printed"),
     )
@@ -68,7 +68,7 @@ def _none_rejected(found: CoefficientsResult) -> tuple[str, ...]:
         return ()
     return (
         "The thesis rejects some Hausdorff variants without naming them; with this bar each of the "
-        "20 ranks deformations 5 to 7 behind 1 to 4, so the argument decides for none of them.",
+        "20 ranks deformations 5 to 7 behind 1 to 4, so the criterion rejects none of them.",
     )
 
 
@@ -105,7 +105,7 @@ def _groups(found: CoefficientsResult) -> Table:
     kept = found.selection.kept
     rows.append(["D5 to D24", "some rejected", f"{len(kept)} kept: {', '.join(kept) or 'none'}"])
     rows.append(["", "", f"{len(rejected)} rejected: {', '.join(sorted(rejected)) or 'none'}"])
-    return Table("The argument", ("", "Thesis", "Palpate"), rows, (1, 2))
+    return Table("The criterion", ("", "Thesis", "Palpate"), rows, (1, 2))
 
 
 def _cylinder(found: CoefficientsResult) -> Table:

@@ -1,11 +1,11 @@
-"""What an experiment has cost, beside what the thesis prints."""
+"""The cost of an experiment, next to the one printed in the thesis."""
 
 from palpate.service.formatting import count, duration
 from palpate.service.thesis.results import Cost
 
 
 def cost_rows(cost: Cost | None, thesis: str) -> list[tuple[str, str]]:
-    """Return the lines of a chapter's costs."""
+    """Return the lines on a chapter's cost."""
     rows = [("the thesis", thesis)]
     if cost is not None:
         rows.append(("Palpate, processor time", duration(cost.cpu_s)))

@@ -1,4 +1,4 @@
-"""The chapter of the simulated mammograms."""
+"""Chapter on the simulated mammograms."""
 
 from collections.abc import Sequence
 
@@ -22,20 +22,19 @@ def chapter(found: Sequence[Exposed], cost: Cost | None, store: str, scale: Scal
         "mammogram",
         "Mammograms of both meshes",
         "Thesis 4.4",
-        f"The two meshes differ by {number(least, 2)} to {number(most, 2)} times what noise alone "
-        "does, around the glandular compartments, as the thesis shows.",
+        f"Around the glandular compartments, the two meshes differ by {number(least, 2)} to "
+        f"{number(most, 2)} times the noise, as in the thesis.",
         "A projection of the pressed phantom from a point, polyenergetic, without scatter, with an "
         "ideal detector and two Poisson processes of noise; adaptive, homogeneous and their signed "
         "difference as one figure. Geometry, spectrum and dose are not printed.",
         "A cone from a point 650 mm above the detector through the labels of the voxels, exact "
         "path lengths, a tungsten tube at 28 kV behind rhodium, 60 mAs, an ideal detector with "
         f"pixels of {PIXEL_MM[scale]:g} mm, Poisson's law in every bin of energy and electronic "
-        "noise. Every phantom in both views, as PNG and DICOM beside this page.",
+        "noise. Every phantom in both views, as PNG and DICOM next to this page.",
         tables=(_table(found),),
         pictures=_pictures(found, store, scale),
         differences=(
-            "The difference is signed, as the text says; the caption of Fig. 4.18 calls it "
-            "absolute.",
+            "The difference is signed, as in the text; the caption of Fig. 4.18 calls it absolute.",
         ),
         costs=cost_rows(cost, "not printed"),
     )
@@ -53,7 +52,7 @@ def _table(found: Sequence[Exposed]) -> Table:
     ]
     headings = ("Phantom", "Difference of the meshes", "Of noise alone", "Ratio")
     note = "Root mean square of the difference of ln(open / energy), behind the body."
-    return Table("How far the two meshes differ", headings, rows, note=note)
+    return Table("Difference between the two meshes", headings, rows, note=note)
 
 
 def _pictures(found: Sequence[Exposed], store: str, scale: Scale) -> list[Picture]:

@@ -1,4 +1,4 @@
-"""The chapter of homogeneous and adaptive meshes."""
+"""Chapter on homogeneous and adaptive meshes."""
 
 from collections.abc import Sequence
 from statistics import fmean
@@ -26,15 +26,15 @@ THESIS_TIME = (
     + ("FEBio on 12 cores")
 )
 
-# Traced at the reduced scale, iteration by iteration.
+# Traced iteration by iteration at the reduced scale.
 FOLDS_OF_PHANTOM_9 = (
     "In phantom 9 a compartment reaches the skin where chest wall and moving plate meet (x 21 mm). "
     "On the adaptive mesh the soft layer of 1.5 mm between it and the plate begins to fold: its "
-    "nodes move to and fro by some tenths of a millimetre from one iteration to the next, the "
-    "tangent is indefinite, and sixty iterations take 0.04 of 178.6 mJ off the energy without an "
-    "end. The homogeneous mesh has one cell across that layer, which cannot fold."
+    "nodes oscillate by some tenths of a millimetre from one iteration to the next, the tangent "
+    "is indefinite, and sixty iterations reduce the energy by only 0.04 of 178.6 mJ without "
+    "convergence. The homogeneous mesh has one cell across that layer, which cannot fold."
 )
-# Red, green, blue and opacity of what both slices hold, and of what only one does.
+# Red, green, blue and opacity of the overlap of both slices, and of the parts in only one.
 THERE, DIFFERS = (138, 148, 161, 60), (196, 78, 0, 255)
 
 
@@ -49,8 +49,8 @@ def chapter(found: MeshResult, cost: Cost | None, store: str, scale: Scale) -> C
         "mesh for all) and adaptively (900 000, Simpleware), pressed to 50 % (CC) and by 25 % at "
         "45° (MLO) with neo-Hookean and Mooney-Rivlin tissue, and compared compartment by "
         "compartment.",
-        "Both meshes are Palpate's own: a body-centred lattice for all, and one graded 2:1 that "
-        "is cut along the glandular surface and keeps every volume. "
+        "Both meshes are Palpate's own: one body-centred lattice for all, and one graded 2:1 that "
+        "is cut along the glandular surface and preserves every volume. "
         + (
             "The full bodies, voxels of 0.2 mm."
             if scale == "full"
@@ -92,8 +92,10 @@ def _verdict(found: MeshResult) -> str:
 
 def _others(found: MeshResult) -> str:
     if any(row.kind == "fTetWild" for row in found.quality):
-        return " Beside them fTetWild, a mesher of others, with edges of 1 mm."
-    return " fTetWild, a mesher of others, is not installed: pip install 'palpate[mesh]' adds it."
+        return " In addition fTetWild, an independent mesher, with edges of 1 mm."
+    return (
+        " fTetWild, an independent mesher, is not installed: pip install 'palpate[mesh]' adds it."
+    )
 
 
 def _of(rows: Sequence[QualityRow], kind: MeshKind) -> list[QualityRow]:
@@ -158,10 +160,10 @@ def _sizes(found: MeshResult) -> Table:
         "To mesh",
     )
     note = (
-        "Voxels right: of the body, in a tetrahedron of their own tissue. Processor time. The "
+        "Voxels right: share of the body in a tetrahedron of the same tissue. Processor time. The "
         "thesis has 900 000 tetrahedra adaptive and 425 000 homogeneous in a body of 250 ml."
     )
-    return Table("Sizes, quality and faithfulness", headings, rows, note=note)
+    return Table("Sizes, quality and accuracy", headings, rows, note=note)
 
 
 def _compartments(found: MeshResult) -> Table:
@@ -204,16 +206,16 @@ def _times(found: MeshResult) -> Table:
             ]
         )
     headings = ("", "s per 1000, thesis", "Palpate", "Compression, thesis", "Palpate", "Tetrahedra")
-    note = "Thesis: 12 cores on the clock. Palpate: one core, processor time of the solver."
+    note = "Thesis: wall time on 12 cores. Palpate: processor time of the solver on one core."
     return Table("Time (Fig. 4.16)", headings, rows, note=note)
 
 
 def _differences(scale: Scale, found: MeshResult) -> tuple[str, ...]:
     texts = [
-        "The thesis holds the nodes that touch the fixed plate at first. On a round body they are "
-        "a handful, and which they are moves the body between the plates: held over 2 mm here, "
-        "from the voxels, so that both meshes are held at one place. Centroid distances and JC "
-        "follow that choice more than any other.",
+        "The thesis holds the nodes that initially touch the fixed plate. On a round body they "
+        "are few, and their choice shifts the body between the plates. Here a depth of 2 mm is "
+        "held, determined from the voxels so that both meshes are held at the same place. "
+        "Centroid distances and JC depend more on this choice than on any other.",
         "CC is printed as 100 mm to 50 mm, the lateral width; so the plates press along y.",
         "The Mooney-Rivlin constants are not printed. The shear moduli of Table 4.1 are kept, two "
         "thirds of them in C10.",
@@ -222,26 +224,26 @@ def _differences(scale: Scale, found: MeshResult) -> tuple[str, ...]:
     ]
     if scale != "full":
         smaller = (
-            "The reduced bodies are half as wide. Compartments have the size of those of the full "
-            "body: they are moved less far, and each is a larger part of it."
+            "The reduced bodies are half as wide, but compartments have their full size: they "
+            "are displaced less, and each is a larger part of the body."
         )
         texts.insert(0, smaller)
     failed = _without_equilibrium(found)
     if failed:
-        texts.append(f"Without equilibrium, and in no mean: {'; '.join(failed)}.")
+        texts.append(f"Without equilibrium, and excluded from the means: {'; '.join(failed)}.")
     if scale == "reduced" and any(text.startswith("phantom 9, CC") for text in failed):
         texts.append(FOLDS_OF_PHANTOM_9)
     worst = min((r.agreement.labels for r in _of(found.quality, "adaptive")), default=1.0)
     if worst < 0.985:
         texts.append(
-            "Fewer than 98.5 % of the voxels lie in their own tissue: ligaments of 0.6 mm between "
-            "glandular compartments are thinner than the smallest cells of 0.7 mm."
+            "Fewer than 98.5 % of the voxels are in a tetrahedron of their tissue: ligaments of "
+            "0.6 mm between glandular compartments are thinner than the smallest cells, 0.7 mm."
         )
     return tuple(texts)
 
 
 def _without_equilibrium(found: MeshResult) -> list[str]:
-    """Name the compressions that did not converge, with their reasons."""
+    """Return the compressions that did not converge, with their reasons."""
     return [
         f"phantom {row.phantom}, {row.view}, {row.law}, {mesh} mesh ({outcome.reason})"
         for row in found.compressions
@@ -251,7 +253,7 @@ def _without_equilibrium(found: MeshResult) -> list[str]:
 
 
 def sections(store: str, scale: Scale) -> list[Picture]:
-    """Return the same slice of both meshes of one phantom, with its tetrahedra."""
+    """Return the same slice of both meshes of one phantom, showing its tetrahedra."""
     kinds: tuple[MeshKind, ...] = ("adaptive", "homogeneous")
     requests = [Measure(store, scale, SHOWN_PHANTOM, kind) for kind in kinds]
     if not all(r.part.is_finished for r in requests):
@@ -260,7 +262,7 @@ def sections(store: str, scale: Scale) -> list[Picture]:
     return [
         small_chart(
             mesh_sections(shown),
-            "The tetrahedra that a coronal plane meets, on both meshes.",
+            "Tetrahedra cut by a coronal plane, on both meshes.",
             f"Phantom {SHOWN_PHANTOM} at rest, the tetrahedra of a coronal slice; dark: "
             "glandular (thesis Fig. 4.14).",
         )
@@ -268,7 +270,7 @@ def sections(store: str, scale: Scale) -> list[Picture]:
 
 
 def slices(store: str, scale: Scale) -> list[Picture]:
-    """Return the same slice of one pressed phantom on both meshes, and where they differ."""
+    """Return the same slice of a pressed phantom on both meshes, and their difference."""
     requests = [
         Press(store, scale, SHOWN_PHANTOM, mesh, "neo-Hookean", "CC")
         for mesh in ("adaptive", "homogeneous")
@@ -291,7 +293,7 @@ def slices(store: str, scale: Scale) -> list[Picture]:
     differs = np.zeros((*planes[0].shape, 4), np.uint8)
     differs[(planes[0] > 0) | (planes[1] > 0)] = THERE
     differs[planes[0] != planes[1]] = DIFFERS
-    pictures.append(("Where they differ", differs[::-1]))
+    pictures.append(("Difference", differs[::-1]))
     return [
         picture(
             charts.pictures_in_a_row(pictures, labels=True),
@@ -306,7 +308,7 @@ def _one_box(
     origins: Sequence[tuple[float, float]],
     spacing: tuple[float, float],
 ) -> list[NDArray[np.uint8]]:
-    """Put two planes of one lattice into boxes of equal shape."""
+    """Place two planes of one lattice in boxes of equal shape."""
     low = np.min(origins, axis=0)
     starts = [np.rint((np.asarray(o) - low) / spacing).astype(int)[::-1] for o in origins]
     shape = np.max([s + p.shape for s, p in zip(starts, planes, strict=True)], axis=0)

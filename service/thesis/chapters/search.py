@@ -1,4 +1,4 @@
-"""The chapter of the searches."""
+"""Chapter on the searches."""
 
 from collections.abc import Sequence
 from statistics import fmean, stdev
@@ -29,7 +29,7 @@ def chapter(found: SearchResult, cost: Cost | None, scale: Scale) -> Chapter:
         "without skin for five phantoms each, X3 with skin for five.",
         f"The same targets, bounds and stop rule through the studies of `palpate run`: strategy "
         f"{_effort(found)}, {count(found.nodes)} nodes, voxels of {found.spacing_mm:g} mm, "
-        f"{FORCE_N[scale]:g} N. Errors are of one mesh: target and candidates share it.",
+        f"{FORCE_N[scale]:g} N. Target and candidates share one mesh, so errors exclude the mesh.",
         tables=tables,
         pictures=[
             picture(
@@ -45,7 +45,7 @@ def chapter(found: SearchResult, cost: Cost | None, scale: Scale) -> Chapter:
 
 
 def _effort(found: SearchResult) -> str:
-    """Name the strategy, and how many candidates it takes where that is set."""
+    """Return the strategy, and its number of candidates if that is set."""
     if found.strategy == "least-squares":
         return "least-squares, three starts"
     return (
@@ -139,15 +139,15 @@ def _errors(target: TargetName, searches: Sequence[FoundSearch]) -> Table:
         "Within interval",
     )
     note = (
-        "Error: mean of |estimate − target| / target. At best: the standard deviation that the "
-        "tangents allow (Cramér-Rao, with the noise of the image). Within interval: in how many "
-        "searches the 90 % interval holds the target. " + table.note
+        "Error: mean of |estimate − target| / target. At best: the standard deviation allowed by "
+        "the derivatives (Cramér-Rao, with the noise of the image). Within interval: number of "
+        "searches whose 90 % interval covers the target. " + table.note
     )
     return Table(f"Statistics for {target}", headings, rows, note=note.strip())
 
 
 def coverage(constants: Sequence) -> str:  # type: ignore[type-arg]
-    """Say in how many of the searches the interval holds the target."""
+    """Return the number of searches whose interval covers the target, as text."""
     known = [c for c in constants if c.interval is not None]
     if not known:
         return "–"
@@ -180,7 +180,7 @@ def _costs(found: SearchResult, cost: Cost | None) -> list[tuple[str, Text]]:
     rows: list[tuple[str, Text]] = [
         ("the thesis, one search", f"48 h on 12 cores, {core_hours:g} core hours"),
         ("on", printed.MACHINE),
-        ("Palpate, one search", f"{duration(mean)} of one worker, on its clock"),
+        ("Palpate, one search", f"{duration(mean)} wall time of one worker"),
         ("ratio", f"{count(round(core_hours * 3600 / mean))} times less"),
     ]
     if cost is not None:
@@ -190,21 +190,20 @@ def _costs(found: SearchResult, cost: Cost | None) -> list[tuple[str, Text]]:
 
 def _differences(scale: Scale, found: SearchResult) -> list[str]:
     texts = [
-        "The thesis names neither crossover, mutation, selection nor seeds; Palpate takes those "
-        "of MATLAB's ga. No estimate of a single phantom can come out the same.",
+        "The thesis specifies neither crossover, mutation, selection nor seeds; Palpate uses those "
+        "of MATLAB's ga. Estimates of a single phantom cannot be reproduced exactly.",
         "η multiplies a fibre term along chest wall to nipple that is nearly inextensible; the "
-        "deformed shape hardly depends on it, and an estimate lies somewhere in a flat valley.",
-        "MHD is measured between boundary voxels, which is what the printed pairs of JC and MHD "
-        "imply.",
-        "The skin of the thesis has no printed thickness; here it is a membrane of 1.5 mm.",
+        "deformed shape hardly depends on it, so its estimate is anywhere in a flat valley.",
+        "MHD is measured between boundary voxels, as the printed pairs of JC and MHD imply.",
+        "The thesis prints no skin thickness; here the skin is a membrane of 1.5 mm.",
     ]
     if scale != "full":
         alone = found.strategy == "least-squares"
         fewer = "" if alone else f" and {found.population} instead of 84 candidates"
         smaller = (
             "The reduced search has bodies of an eighth of the volume, a coarser mesh, larger "
-            f"voxels{fewer}. Its hours are not those of "
-            "the thesis' scale; run with --full for these."
+            f"voxels{fewer}. Its times are not comparable with "
+            "the thesis; run with --full for those."
         )
         texts.insert(0, smaller)
     return texts

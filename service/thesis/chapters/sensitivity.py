@@ -1,4 +1,4 @@
-"""The chapter of the sensitivity to each constant."""
+"""Chapter on the sensitivity to each constant."""
 
 from collections.abc import Sequence
 
@@ -18,13 +18,13 @@ def chapter(found: Sequence[Varied], cost: Cost | None) -> Chapter:
     strongest = ranked[0].constant.removesuffix("_kpa").replace("_", " ")
     return Chapter(
         "sensitivity",
-        "How much each constant shows",
+        "Sensitivity of the scores to each constant",
         "Thesis 4.5.7, Fig. 4.22",
-        f"Over all of its interval η glandular keeps JC at {number(one.lowest_jc, 3)} or more and "
-        f"MHD at {number(one.most_mhd_voxels, 3)} voxels or less (thesis: above 0.93 and below 1 "
-        f"voxel). {strongest} shows most.",
-        "All constants are held at the target but η glandular, which runs from 50 to 200 kPa; JC "
-        "and MHD of the deformed phantom are drawn over it.",
+        f"Over the whole interval of η glandular JC is at least {number(one.lowest_jc, 3)} and "
+        f"MHD at most {number(one.most_mhd_voxels, 3)} voxels (thesis: above 0.93 and below 1 "
+        f"voxel). {strongest} has the largest influence.",
+        "All constants but η glandular are held at the target; η glandular varies from 50 to "
+        "200 kPa, and JC and MHD of the deformed phantom are plotted over it.",
         f"The same for every constant, each over its interval: phantom {SHOWN_PHANTOM}, target X1 "
         "without skin, and the skin's modulus on the model with it.",
         tables=(_table(found),),
@@ -36,8 +36,8 @@ def chapter(found: Sequence[Varied], cost: Cost | None) -> Chapter:
             ),
         ),
         differences=(
-            "The printed distances are in voxels of 0.2 mm; ours are in those of this scale, so "
-            "millimetres are beside them.",
+            "The printed distances are in voxels of 0.2 mm; ours are in voxels of this scale, so "
+            "they are also given in millimetres.",
         ),
         costs=cost_rows(cost, "not printed"),
     )

@@ -238,7 +238,7 @@ def test_refuses_a_file_with_several_images(tmp_path: Path) -> None:
     file = tmp_path / "movie.tif"
     images = [Image.fromarray(pixels) for pixels in (REST, DENTED)]
     images[0].save(file, save_all=True, append_images=images[1:])
-    with pytest.raises(InputError, match="holds 2 images, and a frame is one"):
+    with pytest.raises(InputError, match="has 2 images; expected one"):
         read_frame(file, PIXEL_MM)
 
 

@@ -101,7 +101,7 @@ def test_intervals_of_shear_modulus_and_stress_contain_the_truth(converged: Stud
 def test_constants_that_are_not_identifiable_are_not_quotable(converged: StudyResults) -> None:
     shown = study_json(converged)["estimates"]
     assert {name: one["quotable"] for name, one in shown.items()} == dict.fromkeys(shown, False)
-    assert any("No constant on its own is known" in note for note in converged.findings["notes"])
+    assert any("No single constant is known" in note for note in converged.findings["notes"])
 
 
 def test_page_and_terminal_say_the_same(

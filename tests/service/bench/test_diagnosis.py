@@ -1,4 +1,4 @@
-"""How long the tasks of a diagnosis take, and what more workers would make of that."""
+"""Timing of a diagnosis, and its projection to more workers."""
 
 from pathlib import Path
 
@@ -10,8 +10,8 @@ from palpate.workers.organs.breast.effects import BREAST_EFFECTS
 from tests.service.diagnosis.compressed_breast import write_case
 
 
-def test_tasks_go_to_whoever_is_free_first() -> None:
-    """5, 3, 3 and 2 s: two workers have 5 + 2 and 3 + 3 s to do, in that order of giving out."""
+def test_tasks_go_to_the_first_free_worker() -> None:
+    """5, 3, 3 and 2 s: two workers get 5 + 2 and 3 + 3 s, assigned in this order."""
     phase = PhaseTimes("effects", (5.0, 3.0, 3.0, 2.0))
     assert [phase.on(n) for n in (1, 2, 3, 12)] == [13.0, 7.0, 5.0, 5.0]
     assert projected([phase, PhaseTimes("weighing", (4.0,))], 12) == 9.0
@@ -37,6 +37,6 @@ def test_the_tasks_of_a_diagnosis_are_timed(tmp_path: Path) -> None:
     assert projected(phases, 12) < projected(phases, 2) < projected(phases, 1)
 
 
-def test_one_measurement_at_a_time(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rejects_two_measurements_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--service", "--diagnosis", "case"]) == 2
     assert "two measurements: give one of them" in capsys.readouterr().err

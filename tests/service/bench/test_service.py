@@ -1,4 +1,4 @@
-"""Around the simulations: overhead, memory, idle workers; at small size, and whole when slow."""
+"""Benchmarks around the simulations: overhead, memory, idle workers; full size when slow."""
 
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ def test_a_steady_search_keeps_workers_busier_than_a_barrier(tmp_path: Path) -> 
     assert 0.2 < shares["barrier"] < shares["steady"] <= 1.0
 
 
-def test_tasks_sleep_on_a_store_in_a_bucket_too(bucket: str, tmp_path: Path) -> None:
+def test_sleeping_tasks_work_with_a_bucket(bucket: str, tmp_path: Path) -> None:
     place = f"{bucket}/store"
     Durations(mean_s=0.002, spread=0.5).write(place)
     spec = parse_spec(text_of("bench", 6, 2), "the test's study", Path())
@@ -37,15 +37,15 @@ def test_tasks_sleep_on_a_store_in_a_bucket_too(bucket: str, tmp_path: Path) -> 
     assert not (tmp_path / "store").exists()
 
 
-def test_evaluations_must_fill_generations(tmp_path: Path) -> None:
+def test_rejects_evaluations_that_do_not_fill_generations(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="a multiple of 200, got 300"):
         soak(300, tmp_path)
 
 
 @pytest.mark.timeout(900)
 @pytest.mark.slow
-def test_the_figures_that_are_promised() -> None:
-    """Some ten minutes, on a machine where nobody else computes."""
+def test_published_figures() -> None:
+    """Takes about ten minutes, on a machine without other load."""
     rows = {row["what"]: row for row in all_rows(20_000)}
     assert rows["soak"]["overhead_ms"] <= 15
     assert abs(rows["soak"]["service_growth"]) <= 0.1

@@ -1,4 +1,4 @@
-"""The bench: its rows, its ratios, and how they read."""
+"""The benchmark of stages: rows, ratios, and their output."""
 
 import json
 from pathlib import Path
@@ -11,7 +11,7 @@ from palpate.service.commands.validation.bench import line
 from palpate.service.errors import TaskError
 
 
-def test_an_unknown_is_compared_with_that_of_the_mesh_before() -> None:
+def test_time_per_unknown_is_relative_to_the_previous_mesh() -> None:
     small = per_unknown(Row("solve", "s", 1000, None, 0.3, 100.0), None)
     assert (small.ratio, small.peak_mb) == (None, None)
     assert small.seconds == pytest.approx(1e-4)
@@ -24,7 +24,7 @@ def test_an_unknown_is_compared_with_that_of_the_mesh_before() -> None:
 def in_this_process(
     stage: str, spacing_mm: float, nodes: int, store: Path, count: int
 ) -> list[Row]:
-    """In place of processes, each of which takes seconds to start."""
+    """Replace processes, each of which takes seconds to start."""
     return [Bench(spacing_mm, nodes, store).run(stage) for _ in range(count)]
 
 
@@ -54,7 +54,7 @@ def test_the_solver_at_two_sizes(
 
 
 @pytest.mark.slow
-def test_processes_that_begin_together_tell_their_rows(tmp_path: Path) -> None:
+def test_concurrent_processes_return_their_rows(tmp_path: Path) -> None:
     first, second = _in_processes("solve", 2.0, 1000, tmp_path, 2)
     for row in (first, second):
         assert (row.stage, row.size) == ("solve", "2 mm, 1000 nodes asked")
@@ -64,12 +64,12 @@ def test_processes_that_begin_together_tell_their_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_stage_that_fails_says_where(tmp_path: Path) -> None:
+def test_failed_stage_is_named_with_its_size(tmp_path: Path) -> None:
     with pytest.raises(TaskError, match=r"stage solve at 300 nodes and 500\.0 mm failed"):
         list(_solver([300], 500.0, tmp_path))
 
 
-def test_the_table() -> None:
+def test_row_formatting() -> None:
     row = Row("two at once", "1 mm, 90 nodes asked", 91, 7, 1.5, 256.0, 1.25, "one alone")
     for part in ("two at once", "(91)", "1.5000 s", "256 MB", "1.25 x one alone"):
         assert part in line(row)

@@ -1,4 +1,4 @@
-"""What the bench of strategies counts, and its chart, from studies made by hand."""
+"""The benchmark of strategies and its chart, on handmade studies."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +23,7 @@ from palpate.service.bench.strategy_chart import write_chart
 from palpate.service.cluster.dispatch import Ending
 
 
-def test_targets_stratify_the_logarithms_and_subsets_are_the_first_of_ten() -> None:
+def test_targets_are_stratified_and_nested() -> None:
     ten = targets(10)
     assert targets(3) == ten[:3]
     for name, (low, high) in BOUNDS.items():
@@ -36,20 +36,20 @@ def test_targets_stratify_the_logarithms_and_subsets_are_the_first_of_ten() -> N
     ("errors", "evaluations"),
     [
         ((0.5, 0.01, 0.005), 2),
-        ((0.01, 0.3, 0.015), 3),  # it was near by chance, and went away again
-        ((0.5, 0.02), 2),  # the limit itself is near
+        ((0.01, 0.3, 0.015), 3),  # it was near by chance, then left again
+        ((0.5, 0.02), 2),  # the limit counts as near
         ((0.5, 0.021), None),
         ((), None),
     ],
 )
-def test_near_is_from_where_the_best_candidate_stays_near(
+def test_near_requires_the_best_candidate_to_stay_near(
     errors: tuple[float, ...], evaluations: int | None
 ) -> None:
     found = near_from([Improvement(n, 2.0 * n, -n, e) for n, e in enumerate(errors, start=1)])
     assert (None if found is None else found.evaluations) == evaluations
 
 
-def test_a_target_may_have_a_mesh_of_its_own() -> None:
+def test_target_may_have_a_separate_mesh() -> None:
     constants = targets(1)[0]
     shared = study_of("cma", 0, constants, Bench(nodes=900, spacing_mm=2.0))
     finer = study_of("cma", 0, constants, Bench(nodes=900, spacing_mm=2.0, target_nodes=3600))
@@ -58,19 +58,19 @@ def test_a_target_may_have_a_mesh_of_its_own() -> None:
     assert finer.case == shared.case
 
 
-def test_seconds_are_those_of_the_processor() -> None:
+def test_reports_cpu_seconds() -> None:
     def idle(seconds: float) -> dict[str, object]:
         return {"seconds": {"solve": 30.0, "score": 10.0}, "reused": seconds < 0}
 
     calls = [("made", (1.0,)), ("stored", (-1.0,))]
     endings: list[Ending] = list(OneCore().run(idle, calls))
     made, stored = (e.value["seconds"] for e in endings)
-    assert sum(made.values()) < 1.0  # it did nothing, whatever it says
+    assert sum(made.values()) < 1.0  # it did nothing, whatever it reports
     assert made["solve"] == pytest.approx(3 * made["score"])
     assert stored == {"solve": 30.0, "score": 10.0}
 
 
-def test_the_chart_names_the_strategies_that_ran(tmp_path: Path) -> None:
+def test_chart_names_the_strategies_that_ran(tmp_path: Path) -> None:
     steps = tuple(Improvement(n, 3.0 * n, -n, 0.5**n) for n in range(1, 8))
     rows = [
         Reached(s, t, 9, 27.0, 6, 18.0, -7.0, {}, {}, steps[t:])
@@ -84,7 +84,7 @@ def test_the_chart_names_the_strategies_that_ran(tmp_path: Path) -> None:
 
 
 class Here:
-    """In place of processes, each of which takes seconds to start."""
+    """Replaces processes, each of which takes seconds to start."""
 
     def __init__(self, *_: Any, **__: Any) -> None:
         self.map = map
@@ -97,9 +97,7 @@ class Here:
 
 
 @pytest.mark.slow
-def test_a_study_that_has_ended_is_read_and_not_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_completed_study_is_read_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("palpate.service.bench.strategies.ProcessPoolExecutor", Here)
     bench = Bench(targets=1, nodes=850, spacing_mm=2.0)
     (first,) = measure(tmp_path, ["least-squares"], bench)
@@ -109,7 +107,7 @@ def test_a_study_that_has_ended_is_read_and_not_run(
 
 
 @pytest.mark.slow
-def test_studies_run_beside_each_other_and_come_in_order(tmp_path: Path) -> None:
+def test_concurrent_studies_return_in_order(tmp_path: Path) -> None:
     bench = Bench(targets=2, nodes=850, spacing_mm=2.0)
     beside = list(measure(tmp_path / "beside", ["least-squares"], bench, processes=2))
     assert [row.target for row in beside] == [0, 1]

@@ -1,4 +1,4 @@
-"""Blind cases made by our own solver, for tests of what happens to them; and records by hand."""
+"""Blind cases made by our own solver for tests, and handmade records."""
 
 import json
 from collections.abc import Iterable, Iterator
@@ -47,21 +47,21 @@ TILT = {
 }
 CAUSES: dict[str, list[dict[str, Any]]] = {"control": [], "tilt": [TILT]}
 SHARES = {"control": 1.0, "tilt": 1.0}
-# The lower plate begins off the body, as the bounds of the tests were measured.
+# The lower plate starts off the body, as when the bounds of the tests were measured.
 LOADS = (PRESSED[1], CROSSWISE | {"lower_mm": -45})
 
 
 def small_case(
     seed: int, kind: str, one_direction: bool, world: str, case: str, truth: str
 ) -> dict[str, Any]:
-    """In place of `service.blind.making.case.make_case`: a tilted plate, or nothing."""
+    """Replace `service.blind.making.case.make_case`: a tilted plate, or nothing."""
     loads = LOADS[:1] if one_direction else LOADS
     publish(Path(case), Path(truth), lambda *folders: write_small(kind, loads, *folders))
     return {"seconds": 0.0}
 
 
 def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: Path) -> None:
-    """Scans, and where the interfaces truly went."""
+    """Write scans, and the true displacements of the interfaces."""
     loads = list(loads)
     rest = generate_breast(PHANTOM, seed=5).labels
     for file in (SCANS[0], *(load["file"] for load in loads)):
@@ -92,8 +92,8 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
 
 
 def _out_of_plates(places: FloatArray, at: Equilibrium) -> FloatArray:
-    """The way out of the plates, from deeper than any node is: a mesh cuts the corners of a body,
-    and what it leaves outside would stand in them."""
+    """Return displacements out of the plates, from deeper than any node is: a mesh cuts the corners
+    of a body, and the remaining corners would be inside a plate."""
     out = np.zeros_like(places)
     for contact in at.levels[-1].plate_contacts(at.states[-1], at.stage):
         found = contact.surface.gap(places)
@@ -103,7 +103,7 @@ def _out_of_plates(places: FloatArray, at: Equilibrium) -> FloatArray:
 
 
 def _flattened(labels: Volume, at: Equilibrium) -> Volume:
-    """The labels without voxels in a plate."""
+    """Return the labels without voxels inside a plate."""
     steps = np.argwhere(labels.values != Tissue.AIR)
     centres = labels.origin_mm + steps[:, ::-1] * np.asarray(labels.spacing_mm)
     inside = np.linalg.norm(_out_of_plates(centres, at), axis=1) > 0
@@ -129,7 +129,7 @@ class Inline:
 
 
 def make_set(root: Path, cases: int = 2, task: Any = small_case, **more: Any) -> BlindSet:
-    """A sealed set in `root`, its truths beside it."""
+    """Make a sealed set in `root`, with its truths next to it."""
     blind, asked = BlindSet(root), SetRequest(cases, 7, False, NODES)
     truths = Truths(blind.truth_beside())
     entries = plan(blind, truths, asked, more.pop("shares", SHARES))
@@ -140,7 +140,7 @@ def make_set(root: Path, cases: int = 2, task: Any = small_case, **more: Any) ->
 
 
 def record(group: str = "single", **changes: Any) -> CaseRecord:
-    """A tilted plate that is found, or whatever the changes make of it."""
+    """Return the record of a tilted plate that is found, with changes."""
     given: dict[str, Any] = {
         "name": "c0",
         "kind": "tilt",
@@ -169,7 +169,7 @@ def record(group: str = "single", **changes: Any) -> CaseRecord:
 
 
 def nothing(group: str = "control", **changes: Any) -> CaseRecord:
-    """A case in which nothing is found."""
+    """Return the record of a case in which nothing is found."""
     given: dict[str, Any] = {
         "kind": group,
         "effects": (),

@@ -1,4 +1,4 @@
-"""Drawing again what stands between no plates; and the three commands, one after the other."""
+"""Repeated draws without equilibrium, and the three commands in sequence."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from palpate.workers.blind.random_case import draw
 
 
 @pytest.mark.parametrize(("failures", "attempts"), [(0, 1), (2, 3)])
-def test_a_draw_without_equilibrium_is_drawn_again(
+def test_repeats_a_draw_without_equilibrium(
     failures: int, attempts: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seeds: list[int] = []
@@ -33,7 +33,9 @@ def test_a_draw_without_equilibrium_is_drawn_again(
     assert draw(8, "tilt", one_direction=True).kind == "tilt"
 
 
-def test_one_that_never_stands_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gives_up_a_case_without_any_equilibrium(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def write(*arguments: Any) -> None:
         raise making.NoEquilibriumError("none")
 
@@ -54,7 +56,7 @@ def test_make_run_and_score(
     made = ["blind", "make", "set", "--cases", "1", "--seed", "4", "--one-direction", *few]
     assert main(made) == 0
     first = capsys.readouterr().out
-    assert main(made) == 0  # finds it made
+    assert main(made) == 0  # already made
     assert capsys.readouterr().out == first
     assert main(["blind", "run", "set", "--store", "store", *few]) == 0
     assert "next: palpate blind score set" in capsys.readouterr().out
@@ -63,6 +65,6 @@ def test_make_run_and_score(
     (case,) = told["cases"]
     assert (case["kind"], case["group"]) == ("control", "control")  # the most frequent kind
     assert told["seals"][0]["manifest"] in first
-    # Another solver, element and mesh: without noise the calibrated model is this near.
+    # Another solver, element and mesh: the noise-free error of the calibrated model.
     assert case["true_before_mm"] < 0.15
     assert Path("page.html").stat().st_size > 10_000

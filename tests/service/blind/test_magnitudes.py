@@ -1,4 +1,4 @@
-"""True magnitudes in the words of the catalogue, and what each truth asks of a diagnosis."""
+"""True magnitudes as catalogue parameters, and the expected answer for each truth."""
 
 import math
 from math import sqrt
@@ -30,7 +30,7 @@ GROUP_OF = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_speaks_the_words_of_the_catalogue(kind: str) -> None:
+def test_every_kind_uses_catalogue_names(kind: str) -> None:
     truth = Truth.model_validate(draw(11, kind).record())
     known = {e.name: e for e in BREAST_EFFECTS}
     assert truth.group == GROUP_OF.get(kind, "single")
@@ -77,10 +77,10 @@ def test_fibres_are_compared_as_turns() -> None:
     assert magnitudes(truth, {}) == []
 
 
-def test_the_strength_of_an_effect_is_its_true_size_in_standard_deviations() -> None:
+def test_strength_is_the_true_size_in_standard_deviations() -> None:
     truth = Truth.model_validate(draw(7, "fibres").record())
     true = true_values(truth)
-    # Every parameter is said to be known to 0.1: found sizes are no part of it.
+    # Every parameter has a standard deviation of 0.1: found sizes do not matter.
     found = said("fibre_rotation", fibre_turn_x_deg=40.0, fibre_turn_y_deg=-3.0)
     turned = math.hypot(true["fibre_turn_x_deg"], true["fibre_turn_y_deg"])
     assert turned == pytest.approx(truth.causes[0].parameters["turn_deg"])
@@ -95,12 +95,12 @@ def test_the_strength_of_an_effect_is_its_true_size_in_standard_deviations() -> 
 
 
 def made_before(kind: str, family: str | None, parameters: dict[str, Any]) -> Truth:
-    """A truth of a sealed set in which this cause had no effect of the catalogue."""
+    """Return a truth of a sealed set in which this cause had no effect in the catalogue."""
     cause = {"kind": kind, "effect": None, "family": family, "parameters": parameters}
     return Truth.model_validate({"seed": 1, "kind": kind, "causes": [cause]})
 
 
-def test_a_truth_of_an_old_set_is_what_it_was_when_it_was_sealed() -> None:
+def test_truths_of_old_sets_keep_their_meaning() -> None:
     given = {"volume_fraction": 0.1, "whole_gland": True, "centre_mm": [0, 0, 20], "radius_mm": 15}
     swelling = made_before("swelling", None, given)
     assert (swelling.group, swelling.effects) == ("unlike", ())
@@ -112,7 +112,7 @@ def test_a_truth_of_an_old_set_is_what_it_was_when_it_was_sealed() -> None:
         assert magnitudes(truth, {}) == []
 
 
-def test_new_causes_are_compared_by_what_they_have_in_common_with_the_catalogue() -> None:
+def test_new_causes_are_converted_to_catalogue_parameters() -> None:
     def true(kind: str, **parameters: Any) -> dict[str, float]:
         record = draw(3, kind).record()
         record["causes"][0]["parameters"] |= parameters
@@ -126,7 +126,7 @@ def test_new_causes_are_compared_by_what_they_have_in_common_with_the_catalogue(
     assert true("image_scale", scale=[0.0, -0.01, 0.0]) == scales
     springs = {f"attachment_stiffness_{axis}_kpa_per_mm": 0.2 for axis in "xyz"}
     assert true("tether", grip_kpa_per_mm=0.2) == springs
-    # A disc of radius R has pi R^2 of area, a bell of radius r 2 pi r^2.
+    # A disc of radius R has area pi R^2, a bell of radius r has 2 pi r^2.
     assert true("adhesion", grip_kpa_per_mm=2.0, radius_mm=20.0) == {
         "attachment_stiffness_x_kpa_per_mm": 2.0,
         "attachment_stiffness_y_kpa_per_mm": 2.0,
@@ -142,7 +142,7 @@ def test_distance_of_a_lump_is_between_scan_coordinates() -> None:
     assert lump_apart_mm(truth, found, None) == pytest.approx(math.sqrt(12.0))
 
 
-def test_earlier_answers_hold_offsets_of_a_lump_from_the_middle_of_the_body() -> None:
+def test_earlier_answers_have_offsets_of_a_lump_from_the_middle() -> None:
     truth = Truth.model_validate(draw(5, "inclusion").record())
     at = truth.causes[0].parameters["centre_mm"]
     off = {f"inclusion_{axis}_mm": at[n] - 10.0 for n, axis in enumerate("xyz")}

@@ -1,4 +1,4 @@
-"""The page of a scored set, and what the commands say."""
+"""The page of a scored set, and the output of the commands."""
 
 import json
 import re
@@ -33,7 +33,7 @@ FRICTION: dict[str, Any] = {
 
 
 def cases() -> list[CaseRecord]:
-    """One of every sort."""
+    """Return one case of every kind."""
     sure = {"no-gap": 0.02, "none-of-these": 0.03, "plate_tilt": 0.93, "plate_friction": 0.35}
     return [
         nothing(name="a0", true_before_mm=0.10),
@@ -75,7 +75,7 @@ def scored(records: list[CaseRecord], **seals: Any) -> ScoredSet:
 @pytest.mark.parametrize(
     "records", [cases(), cases()[:1], [cases()[-1]]], ids=["all", "one", "failed"]
 )
-def test_a_page_is_well_formed_and_needs_no_other_file(records: list[CaseRecord]) -> None:
+def test_page_is_well_formed_and_self_contained(records: list[CaseRecord]) -> None:
     source = render(scored(records))
     page = Page(source)
     assert len(page.ids) == len(set(page.ids))
@@ -86,7 +86,7 @@ def test_a_page_is_well_formed_and_needs_no_other_file(records: list[CaseRecord]
     assert render(scored(records)) == source
 
 
-def test_the_page_says_what_was_measured() -> None:
+def test_page_shows_the_metrics() -> None:
     page = Page(render(scored(cases(), declared="a finer mesh")))
     assert page.row("False alarms on controls and hidden effects") == [
         "False alarms on controls and hidden effects",
@@ -96,14 +96,14 @@ def test_the_page_says_what_was_measured() -> None:
         "at most 5 %",
         "met",
     ]
-    assert page.row("One effect, visible: it comes first")[-1] == "not met"
-    assert page.row("Baseline, chance: it comes first")[1] == "50 %"
+    assert page.row("One effect, visible: ranked first")[-1] == "not met"
+    assert page.row("Baseline, chance: ranked first")[1] == "50 %"
     assert "The diagnosis that answered is not the one" in page.text
     assert "a finer mesh" in page.text
-    assert "still misses 0.10 mm: the floor" in page.text
+    assert "still has a gap of 0.10 mm, the floor" in page.text
 
 
-def test_several_sets_are_shown_with_all_their_seals() -> None:
+def test_page_shows_the_seals_of_several_sets() -> None:
     both = replace(
         scored(cases()),
         name="one + another",
@@ -118,7 +118,7 @@ def test_several_sets_are_shown_with_all_their_seals() -> None:
     assert text.count(f"`{SEALS['manifest']}`") == 2
 
 
-def test_the_page_lists_what_went_wrong() -> None:
+def test_page_lists_wrong_answers() -> None:
     page = Page(render(scored(cases())))
     assert page.row("b1")[1:3] == [
         "plate frictionone effect",
@@ -126,8 +126,8 @@ def test_the_page_lists_what_went_wrong() -> None:
     ]
     assert page.row("f0")[2] == "failedInputError: the scan <is> empty"
     assert page.row("f0")[3:] == ["–", "–", "–"]
-    wrong = page.text.index("Answers that are not right")
-    assert page.text.index("b1", wrong) < page.text.index("Answers that are right", wrong)
+    wrong = page.text.index("Wrong answers")
+    assert page.text.index("b1", wrong) < page.text.index("Correct answers", wrong)
 
 
 # The commands
@@ -142,21 +142,21 @@ Call = Callable[..., tuple[int, str, str]]
         (["make", "set", "--truth", "set/truth"], "The truths must lie outside of the set"),
         (["make", "set", "--truth", "."], "The truths must lie outside of the set"),
         (["make", "set", "--cases", "0"], "Invalid value for '--cases'"),
-        (["run", "set"], "set is no sealed set: it has no manifest.json"),
-        (["score", "set"], "set is no sealed set"),
+        (["run", "set"], "set is not a sealed set: it has no manifest.json"),
+        (["score", "set"], "set is not a sealed set"),
         (["score", "set", "--directions", "z"], "'z' is not one of"),
         (["score", "one", "two", "--truth", "t"], "--truth names the truths of one set"),
         (["score", "set", "./set"], "is named twice: its cases would count double"),
     ],
 )
-def test_mistakes_end_with_one_message(call: Call, arguments: list[str], said: str) -> None:
+def test_invalid_arguments_give_one_message(call: Call, arguments: list[str], said: str) -> None:
     code, _, err = call("blind", *arguments)
     assert code == 2
     assert said in err
     assert "Traceback" not in err
 
 
-def test_score_prints_figures_and_writes_the_page(
+def test_score_prints_metrics_and_writes_the_page(
     call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
@@ -173,7 +173,7 @@ def test_score_prints_figures_and_writes_the_page(
     text.write_text("Before.\n<!-- figures -->\nstale\n<!-- end of figures -->\nAfter.\n")
     assert call("blind", "score", "set", "--into", text)[0] == 0
     written = text.read_text()
-    assert "| One effect, visible: it comes first | 33 % |" in written
+    assert "| One effect, visible: ranked first | 33 % |" in written
     wrong = written.partition("| wrong answer to")[2].partition("<!-- end")[0].splitlines()[2:]
     assert len(wrong) == 2
     right = sum(int(n) for n in re.findall(r"\*\*[^*]+ (\d+)\*\*", written))

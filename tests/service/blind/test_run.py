@@ -1,4 +1,4 @@
-"""A set from its making to its page, on small bodies of our own solver; and what is refused."""
+"""A set from its making to its page, on small bodies of our own solver; and refusals."""
 
 import json
 import shutil
@@ -39,7 +39,7 @@ from tests.service.diagnosis.compressed_breast import read_settings
 
 @pytest.fixture(scope="module", autouse=True)
 def few_suspects() -> Any:
-    """Points far apart, and two effects."""
+    """Use widely spaced points and two effects."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("palpate.service.blind.answering.run.request_for", small_request)
         yield
@@ -62,7 +62,7 @@ def blind(tmp_path_factory: pytest.TempPathFactory) -> BlindSet:
 
 @pytest.fixture(scope="module")
 def answered(blind: BlindSet, tmp_path_factory: pytest.TempPathFactory) -> Answering:
-    """All cases diagnosed, and sealed."""
+    """A set with all cases diagnosed and sealed."""
     asked = Answering(blind, tmp_path_factory.mktemp("blind") / "store", "all", NODES)
     assert run(asked).asked == ["diagnose_alone"] * 2
     assert seal(asked) == file_hash(blind.sealed_answers("all"))
@@ -71,14 +71,14 @@ def answered(blind: BlindSet, tmp_path_factory: pytest.TempPathFactory) -> Answe
 
 @pytest.fixture(scope="module")
 def records(answered: Answering) -> dict[str, CaseRecord]:
-    """By kind."""
+    """Records by kind."""
     blind = answered.blind
     names = sorted(p.name for p in blind.cases.iterdir())
     read = read_records(blind, Truths(blind.truth_beside()), names, "all")
     return {r.kind: r for r in read}
 
 
-def test_the_tilt_is_found_and_its_gap_is_true(records: dict[str, CaseRecord]) -> None:
+def test_finds_the_tilt_and_its_true_gap(records: dict[str, CaseRecord]) -> None:
     tilted = records["tilt"]
     assert (tilted.answer, tilted.primary) == ("effect", ("plate_tilt",))
     assert tilted.right
@@ -88,14 +88,14 @@ def test_the_tilt_is_found_and_its_gap_is_true(records: dict[str, CaseRecord]) -
     before, after = tilted.true_before_mm, tilted.true_after_mm
     assert before is not None
     assert after is not None
-    # Without noise and on the same mesh the right effect leaves what the voxels cost.
+    # Without noise and on the same mesh, the right effect leaves only the voxel error.
     assert after < 0.15
     assert before > 3 * after
     assert tilted.claimed_before_mm == pytest.approx(before, rel=0.25)
     assert tilted.true_share == pytest.approx(tilted.claimed_share, abs=0.15)
 
 
-def test_a_control_has_a_true_gap_of_nearly_nothing(records: dict[str, CaseRecord]) -> None:
+def test_control_has_a_negligible_true_gap(records: dict[str, CaseRecord]) -> None:
     control = records["control"]
     assert control.group == "control"
     assert control.true_before_mm is not None
@@ -103,7 +103,7 @@ def test_a_control_has_a_true_gap_of_nearly_nothing(records: dict[str, CaseRecor
     assert control.true_after_mm is None or control.answer != "no-gap"
 
 
-def test_an_answer_is_what_the_store_holds(answered: Answering) -> None:
+def test_answer_matches_the_store(answered: Answering) -> None:
     blind = answered.blind
     for case in blind.cases.iterdir():
         found = finished(request_of(answered, case.name))
@@ -116,14 +116,14 @@ def test_an_answer_is_what_the_store_holds(answered: Answering) -> None:
         assert set(said["baselines"]["raw_correlation"]) == set(SUSPECTS)
 
 
-def test_a_set_is_answered_once(answered: Answering) -> None:
+def test_answered_set_is_not_answered_again(answered: Answering) -> None:
     assert unanswered(answered) == []
     stamp = answered.blind.sealed_answers("all").stat().st_mtime_ns
     assert seal(answered) == file_hash(answered.blind.sealed_answers("all"))
     assert answered.blind.sealed_answers("all").stat().st_mtime_ns == stamp
 
 
-def test_few_cases_are_shared_out_among_many_workers(
+def test_many_workers_share_the_last_cases(
     answered: Answering, blind: BlindSet, tmp_path: Path
 ) -> None:
     copy = BlindSet(shutil.copytree(blind.root, tmp_path / "set"))
@@ -138,13 +138,13 @@ def test_few_cases_are_shared_out_among_many_workers(
 
 
 def answered_alike(one: BlindSet, other: BlindSet) -> str:
-    """The seal of `one`, whose answers are those of `other` to the last bit."""
+    """Return the seal of `one`, whose answers are bit-identical to those of `other`."""
     hashes = [check_answers(s, "all")["answers"] for s in (one, other)]
     assert hashes[0] == hashes[1]
     return file_hash(one.sealed_answers("all"))
 
 
-def test_the_score_says_all_that_was_sealed(answered: Answering) -> None:
+def test_score_includes_the_seals(answered: Answering) -> None:
     blind = answered.blind
     scored = score_sets([(blind, Truths(blind.truth_beside()))], "all")
     told = json.loads(json.dumps(record(scored)))
@@ -158,13 +158,13 @@ def test_the_score_says_all_that_was_sealed(answered: Answering) -> None:
 
 @pytest.fixture
 def copy(answered: Answering, tmp_path: Path) -> BlindSet:
-    """The set with its answers and truths, to be meddled with."""
+    """A copy of the set with its answers and truths, for tests that change it."""
     blind = answered.blind
     shutil.copytree(blind.truth_beside(), tmp_path / "set-truth")
     return BlindSet(shutil.copytree(blind.root, tmp_path / "set"))
 
 
-def test_scans_along_y_can_be_shown_alone(
+def test_diagnosis_can_be_limited_to_scans_along_y(
     answered: Answering, copy: BlindSet, tmp_path: Path
 ) -> None:
     asked = Answering(copy, answered.store, "y", NODES)
@@ -192,17 +192,17 @@ def test_two_sets_are_scored_as_one(answered: Answering, copy: BlindSet) -> None
     assert counts == [2 * f.estimate.count for f in alone.metrics]
 
 
-# What is refused
+# Refusals
 
 
-def test_a_case_that_changed_is_not_diagnosed(copy: BlindSet, tmp_path: Path) -> None:
+def test_rejects_a_changed_case(copy: BlindSet, tmp_path: Path) -> None:
     case = next(copy.cases.iterdir())
     (case / "note.txt").write_text("the plate is tilted")
     with pytest.raises(InputError, match=f"changed: {case.name}"):
         unanswered(Answering(copy, tmp_path, "all", NODES))
 
 
-def test_another_diagnosis_has_to_be_declared(copy: BlindSet, tmp_path: Path) -> None:
+def test_changed_diagnosis_must_be_declared(copy: BlindSet, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"sealed against: mesh changed\. .* --declare"):
         unanswered(Answering(copy, tmp_path, "all", NODES + 1))
     asked = Answering(copy, tmp_path, "all", NODES + 1, declared="a finer mesh")
@@ -213,14 +213,14 @@ def test_another_diagnosis_has_to_be_declared(copy: BlindSet, tmp_path: Path) ->
     assert scored.seals[0]["declared"] == "a finer mesh"
 
 
-def test_answers_of_two_versions_do_not_mix(copy: BlindSet, tmp_path: Path) -> None:
+def test_rejects_answers_from_two_versions(copy: BlindSet, tmp_path: Path) -> None:
     path = next(copy.answers("all").glob("*.json"))
     path.write_text(json.dumps(read_json(path) | {"code": "older"}))
-    with pytest.raises(InputError, match=f"answers of other code: {path.stem}"):
+    with pytest.raises(InputError, match=f"answers from other code: {path.stem}"):
         unanswered(Answering(copy, tmp_path, "all", NODES))
 
 
-def test_no_score_before_all_is_sealed_or_after_anything_changed(copy: BlindSet) -> None:
+def test_rejects_scoring_of_incomplete_or_changed_sets(copy: BlindSet) -> None:
     truths = Truths(copy.truth_beside())
     score_sets([(copy, truths)], "all")
     with pytest.raises(InputError, match="not all cases are answered"):
@@ -233,11 +233,11 @@ def test_no_score_before_all_is_sealed_or_after_anything_changed(copy: BlindSet)
     path.write_text(before)
     truth = truths.of(path.stem) / "truth.json"
     truth.write_text(truth.read_text() + " ")
-    with pytest.raises(InputError, match="does not hold the sealed truth"):
+    with pytest.raises(InputError, match="does not have the sealed truth"):
         score_sets([(copy, truths)], "all")
 
 
-def test_a_case_that_cannot_be_diagnosed_is_answered_so(
+def test_failed_diagnosis_is_recorded_with_its_reason(
     copy: BlindSet, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def refusing(path: Path, *more: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Figures of answers by hand, whose values are worked out on paper."""
+"""Metrics of handmade answers, against values calculated by hand."""
 
 import math
 from math import sqrt
@@ -77,7 +77,7 @@ def test_wilsons_interval() -> None:
     assert share([]).value is None
 
 
-def test_the_bootstrap_holds_the_mean_as_often_as_it_says() -> None:
+def test_bootstrap_interval_has_its_nominal_coverage() -> None:
     rng = np.random.default_rng(1)
     found = [mean(rng.normal(2.0, 1.0, 40).tolist()) for _ in range(200)]
     held = np.mean([f.low < 2.0 < f.high for f in found])  # type: ignore[operator]
@@ -94,7 +94,7 @@ def test_correlation_is_pearsons() -> None:
     assert correlation([1, 1, 1], [1, 2, 3]).value is None
 
 
-# Figures
+# Metrics
 
 
 def test_false_alarms_count_controls_and_hidden_effects() -> None:
@@ -106,7 +106,7 @@ def test_false_alarms_count_controls_and_hidden_effects() -> None:
     assert scored(nothing())["false_alarms"].met is True
 
 
-def test_false_alarms_are_sure_or_doubted() -> None:
+def test_counts_sure_false_alarms_separately() -> None:
     doubted = nothing(answer="none-of-these", probabilities={"none-of-these": 0.6, "no-gap": 0.3})
     sure = nothing(answer="none-of-these", probabilities={"none-of-these": 0.95, "no-gap": 0.03})
     named = nothing(answer="effect", primary=("plate_tilt",), probabilities={"plate_tilt": 0.92})
@@ -115,7 +115,7 @@ def test_false_alarms_are_sure_or_doubted() -> None:
     assert value(found, "sure_alarms") == (0.5, 4)
 
 
-def test_a_hidden_effect_that_leaves_a_gap_is_to_be_named() -> None:
+def test_hidden_effect_with_a_visible_gap_should_be_named() -> None:
     force = {"effects": ("plate_force",), "families": ("loading",)}
     controls = [nothing(true_before_mm=0.10)]
     faint = nothing("absorbed", **force, true_before_mm=0.15)
@@ -129,7 +129,7 @@ def test_a_hidden_effect_that_leaves_a_gap_is_to_be_named() -> None:
     assert value(found, "first_visible") == (1.0, 1)
 
 
-def test_an_effect_that_is_named_acts_or_does_not() -> None:
+def test_counts_named_effects_that_act() -> None:
     unsure = record(answer="cannot-be-told-apart", **WRONG)
     named = nothing(answer="effect", primary=("plate_tilt",), primary_families=("plate geometry",))
     found = scored(record(), record(), record(), record(**WRONG), unsure, named)
@@ -141,7 +141,7 @@ def test_an_effect_that_is_named_acts_or_does_not() -> None:
     assert value(found, "strict") == (0.5, 2)
 
 
-def test_faint_cases_are_judged_apart() -> None:
+def test_faint_cases_are_scored_separately() -> None:
     # The floor is the median control, 0.10 mm; visible is above 0.15 mm, clear above 0.30 mm.
     controls = [nothing(true_before_mm=g) for g in (0.05, 0.10, 0.40)]
     faint = [record(true_before_mm=0.15, **MISSED), record(true_before_mm=0.12)]
@@ -159,7 +159,7 @@ def test_faint_cases_are_judged_apart() -> None:
     assert [len(chosen) for _, _, chosen in strata([record()], None)] == []
 
 
-def test_weak_effects_are_judged_apart() -> None:
+def test_weak_effects_are_scored_separately() -> None:
     weak = [record(strength=0.5, **MISSED), record(strength=3.9)]
     strong = [record(strength=s) for s in (4.0, 7.0)]
     found = scored(nothing(true_before_mm=0.1), *weak, *strong, record(**MISSED))
@@ -171,7 +171,7 @@ def test_without_a_floor_all_are_visible() -> None:
     assert visible(record(true_before_mm=0.001), None)
 
 
-def test_out_of_the_catalogue() -> None:
+def test_causes_outside_the_catalogue() -> None:
     def unlike(answer: str, gap: float) -> CaseRecord:
         return nothing("unlike", kind="swelling", answer=answer, true_before_mm=gap)
 
@@ -193,7 +193,7 @@ def test_out_of_the_catalogue() -> None:
     assert value(found, "unlike") == (1 / 5, 5)
     assert value(found, "relatives") == (2 / 3, 3)
     assert relative.right
-    assert not relative.covered  # no cause of the catalogue is true of it
+    assert not relative.covered  # no cause in the catalogue is true
 
 
 def test_pairs() -> None:
@@ -207,7 +207,7 @@ def test_pairs() -> None:
 
 
 def test_triples() -> None:
-    """Of four diagnoses three name one of the three effects first, and two name two of them."""
+    """Of four diagnoses, three name one of the three effects first, and two name two of them."""
     three = {
         "effects": ("plate_tilt", "growth", "plate_friction"),
         "families": ("plate geometry", "growth", "boundary"),
@@ -262,7 +262,7 @@ def test_gaps_and_shrinkage() -> None:
     assert found["gap_error"].met
 
 
-def test_intervals_hold_the_truth_or_not() -> None:
+def test_counts_intervals_that_cover_the_truth() -> None:
     # True gap 0.30 mm, true shrinkage 8/9.
     inside = record(gap_interval_mm=(0.2, 0.4), share_interval=(0.8, 1.0))
     outside = record(gap_interval_mm=(0.31, 0.4), share_interval=(0.9, 1.0))
@@ -271,13 +271,13 @@ def test_intervals_hold_the_truth_or_not() -> None:
     assert value(found, "shrinkage_within") == (1 / 3, 3)
 
 
-def test_a_large_gap_may_be_off_by_a_quarter() -> None:
+def test_large_gaps_have_a_relative_tolerance() -> None:
     off = record(true_before_mm=1.0, claimed_before_mm=0.8)
     assert scored(off)["gap_error"].met
     assert not scored(record(true_before_mm=0.2, claimed_before_mm=0.3))["gap_error"].met
 
 
-def test_sizes_count_where_the_cause_is_right() -> None:
+def test_magnitudes_count_only_for_correct_causes() -> None:
     sizes = (Magnitude("a", 5.0, 0.5, 4.0), Magnitude("b", 0.1, 0.1, 0.0))
     found = scored(record(magnitudes=sizes), record(**WRONG | {"magnitudes": sizes}))
     assert value(found, "magnitude_sds") == (1.5, 2)
@@ -294,7 +294,7 @@ def test_sizes_count_where_the_cause_is_right() -> None:
     assert value(near, "lump_unnamed") == (20.0, 1)
 
 
-def test_baselines_accuse_somebody_every_time() -> None:
+def test_baselines_always_accuse_an_effect() -> None:
     raw = {"raw_correlation": "plate_tilt", "refit": "plate_friction"}
     found = scored(record(accused_by=raw), record(accused_by=raw | {"refit": "plate_tilt"}))
     assert value(found, "baseline_raw_correlation") == (1.0, 2)
@@ -302,7 +302,7 @@ def test_baselines_accuse_somebody_every_time() -> None:
     assert value(found, "baseline_chance") == (0.5, 2)
 
 
-def test_baselines_that_may_be_silent_alarm_as_rarely_as_the_diagnosis() -> None:
+def test_silent_baselines_have_as_few_false_alarms_as_the_diagnosis() -> None:
     def body(group: str, loud: float, **more: object) -> CaseRecord:
         accused = {"refit": "plate_tilt"}
         return record(group, accused_by=accused, loudness={"refit": loud}, **more)
@@ -316,7 +316,7 @@ def test_baselines_that_may_be_silent_alarm_as_rarely_as_the_diagnosis() -> None
     assert "baseline_refit_silent" not in scored(*singles)
 
 
-def test_a_refit_is_as_loud_as_what_it_takes_off() -> None:
+def test_evidence_of_a_refit_is_its_reduction_of_the_residual() -> None:
     assert improvement({"a": 0.5, "b": 0.25}, 0.5) == pytest.approx(np.log(2))
     assert improvement({}, 0.5) == 0.0
     assert [threshold([3.0, 1.0, 2.0], alarms) for alarms in (0, 1)] == [3.0, 2.0]
@@ -358,7 +358,7 @@ def test_the_log_score() -> None:
 
 
 def test_the_expected_calibration_error() -> None:
-    """Three statements of 80 % of which one comes true, and one of 0 that does not."""
+    """Three statements of 80 %, one of which is true, and one of 0 that is false."""
     cases = [
         record(probabilities={"plate_tilt": 0.8, "no-gap": 0.0}),
         record(probabilities={"plate_friction": 0.8}),
@@ -369,7 +369,7 @@ def test_the_expected_calibration_error() -> None:
     assert calibration_error([]).value is None
 
 
-def test_of_a_relative_the_family_is_stated() -> None:
+def test_statements_about_relatives_are_about_families() -> None:
     bent = record(
         "relative",
         effects=(),
@@ -410,7 +410,7 @@ def test_confusion_counts_every_case_once() -> None:
 # Baselines
 
 
-def test_the_raw_correlation_is_the_largest_cosine_at_any_place() -> None:
+def test_raw_correlation_is_the_largest_cosine_over_all_places() -> None:
     residual = np.array([1.0, 0.0, 0.0, 0.0])
     flat = np.array([[1.0, 0.0], [1.0, 5.0], [0.0, 0.0], [0.0, 0.0]])
     assert raw_correlation(flat, residual) == pytest.approx(sqrt(0.5))

@@ -1,4 +1,4 @@
-"""Sets that are made, sealed and found out if anybody touches them."""
+"""Making and sealing of sets, and detection of changes."""
 
 import hashlib
 import json
@@ -42,7 +42,7 @@ SHARES = {"control": 2.0, "tilt": 1.0, "friction": 1.0}
 def tiny(
     seed: int, kind: str, one_direction: bool, world: str, case: str, truth: str
 ) -> dict[str, Any]:
-    """A case of two small files."""
+    """Make a case of two small files."""
 
     def write(case: Path, truth: Path) -> None:
         (case / "case.yaml").write_text(f"name: {case.name}\n")
@@ -63,7 +63,7 @@ def truths(blind: BlindSet) -> Truths:
     return Truths(blind.truth_beside())
 
 
-def test_a_hash_is_what_sha256sum_says(blind: BlindSet) -> None:
+def test_hashes_match_sha256sum(blind: BlindSet) -> None:
     case = next(blind.cases.iterdir())
     shell = "LC_ALL=C; export LC_ALL; sha256sum * | sha256sum"
     said = subprocess.run(shell, shell=True, cwd=case, capture_output=True, text=True, check=True)
@@ -80,13 +80,13 @@ def test_a_truth_is_sealed_with_its_salt(blind: BlindSet, truths: Truths) -> Non
     assert salted_hash("00" * 32, truths.of(entry["id"])) != salted
 
 
-def test_a_set_shows_nothing_of_its_kinds(blind: BlindSet, truths: Truths) -> None:
+def test_set_does_not_reveal_the_kinds_of_its_cases(blind: BlindSet, truths: Truths) -> None:
     entries = read_json(truths.plan)["cases"]
     assert Counter(e["kind"] for e in entries) == {"control": 4, "tilt": 2, "friction": 2}
     assert [e["id"] for e in entries] == sorted(e["id"] for e in entries)
     shown = "".join(p.read_bytes().decode("latin-1") for p in blind.root.rglob("*") if p.is_file())
     listed = [e["name"] for e in read_manifest(blind)["diagnosis"]["settings"]["effects"]]
-    assert listed == [e.name for e in BREAST_EFFECTS]  # which are no kinds of cases
+    assert listed == [e.name for e in BREAST_EFFECTS]  # which are not kinds of cases
     for entry in entries:
         assert entry["salt"] not in shown
         assert str(entry["seed"]) not in shown
@@ -103,7 +103,7 @@ def test_equal_seeds_draw_equal_cases_under_other_names(tmp_path: Path) -> None:
     assert len({e["seed"] for e in a}) == 6
 
 
-def test_what_is_made_is_not_made_again(blind: BlindSet, truths: Truths) -> None:
+def test_existing_cases_are_not_made_again(blind: BlindSet, truths: Truths) -> None:
     sealed = file_hash(blind.manifest)
     again = SetRequest(8, None, False, 600)
     entries = plan(blind, truths, again, SHARES)
@@ -118,7 +118,7 @@ def test_what_is_made_is_not_made_again(blind: BlindSet, truths: Truths) -> None
     assert file_hash(blind.manifest) == sealed
 
 
-def test_another_set_in_the_same_place_is_refused(blind: BlindSet, truths: Truths) -> None:
+def test_rejects_another_set_in_the_same_folder(blind: BlindSet, truths: Truths) -> None:
     for asked in (
         SetRequest(9, 7, False, 600),
         SetRequest(8, 8, False, 600),
@@ -132,7 +132,7 @@ def test_another_set_in_the_same_place_is_refused(blind: BlindSet, truths: Truth
         plan(blind, Truths(truths.root / "elsewhere"), SetRequest(8, 7, False, 600), SHARES)
 
 
-def test_a_case_that_cannot_be_made_is_no_case(tmp_path: Path) -> None:
+def test_failed_case_leaves_no_files(tmp_path: Path) -> None:
     def failing(*asked: Any) -> dict[str, Any]:
         case, truth = asked[-2:]
         publish(Path(case), Path(truth), lambda c, t: (c / "half").write_text(str(1 / 0)))
@@ -147,7 +147,7 @@ def test_a_case_that_cannot_be_made_is_no_case(tmp_path: Path) -> None:
     }
 
 
-def test_a_changed_case_is_named(blind: BlindSet) -> None:
+def test_names_changed_cases(blind: BlindSet) -> None:
     manifest = read_manifest(blind)
     check_cases(blind, manifest)
     first, second, third, *_ = sorted(manifest["cases"])
@@ -159,7 +159,7 @@ def test_a_changed_case_is_named(blind: BlindSet) -> None:
     assert f"missing: {second}; added: new; changed: {first}" in str(said.value)
 
 
-def test_a_changed_truth_or_salt_is_named(blind: BlindSet, truths: Truths) -> None:
+def test_names_changed_truths_and_salts(blind: BlindSet, truths: Truths) -> None:
     manifest = read_manifest(blind)
     check_truths(truths, manifest)
     first, second, *_ = sorted(manifest["cases"])
@@ -172,14 +172,14 @@ def test_a_changed_truth_or_salt_is_named(blind: BlindSet, truths: Truths) -> No
         check_truths(truths, manifest)
 
 
-def test_shares_come_as_near_as_whole_numbers_can() -> None:
+def test_shares_are_rounded_to_whole_numbers() -> None:
     shares = {"a": 0.18, "b": 0.12, "c": 0.05, "d": 0.65}
     assert Counter(shared_out(shares, 60)) == {"a": 11, "b": 7, "c": 3, "d": 39}
     assert len(shared_out(shares, 7)) == 7
     assert Counter(shared_out(shares, 1)) == {"d": 1}
 
 
-def test_what_changed_since_the_seal_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lists_changes_since_the_seal(monkeypatch: pytest.MonkeyPatch) -> None:
     sealed = to_json(frozen(5000))
     assert differences(sealed, frozen(5000)) == []
     assert differences(sealed, frozen(6000)) == ["mesh"]
@@ -190,14 +190,14 @@ def test_what_changed_since_the_seal_is_said(monkeypatch: pytest.MonkeyPatch) ->
     assert differences(sealed, frozen(5000)) == ["pose"]
 
 
-def test_the_seal_holds_every_setting() -> None:
+def test_seal_includes_every_setting() -> None:
     sealed = frozen(SETTINGS.mesh.nodes)
     held = {name: sealed.settings[name] for name in asdict(SETTINGS)}
     assert held == asdict(SETTINGS)
     assert sealed.settings_digest == digest(sealed.settings)
 
 
-def test_the_dispatcher_at_hand_runs_every_task() -> None:
+def test_inline_dispatcher_runs_every_task() -> None:
     dispatcher = Inline()
     endings = list(dispatcher.run(divmod, [("a", (7, 2)), ("b", (1, 0))]))
     assert [(e.key, e.value) for e in endings] == [("a", (3, 1)), ("b", None)]

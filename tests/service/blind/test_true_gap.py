@@ -1,4 +1,4 @@
-"""The gap without noise, against maps of the body that are known exactly."""
+"""The noise-free gap, against exactly known maps of the body."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ AXES = np.array([45.0, 30.0, 35.0])
 
 
 def ellipsoid(count: int, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Points spread over the upper part of an ellipsoid, and their outward normals."""
+    """Return points on the upper part of an ellipsoid, and their outward normals."""
     drawn = np.random.default_rng(seed).normal(size=(6 * count, 3))
     unit = drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
     unit = unit[unit[:, 2] > 0.2][:count]
@@ -22,14 +22,14 @@ def ellipsoid(count: int, seed: int) -> tuple[FloatArray, FloatArray]:
 
 
 def pressed(x: FloatArray) -> FloatArray:
-    """A map of determinant 1: pressed by 20 % along y, then sheared by a parabola."""
+    """Apply a map of determinant 1: 20 % compression along y, then a parabolic shear."""
     out = x * [1.12, 0.8, 1 / (1.12 * 0.8)]
     out[:, 0] += 0.002 * out[:, 1] ** 2 + 0.1 * out[:, 2]
     return out
 
 
 def normals_after(x: FloatArray, normals: FloatArray) -> FloatArray:
-    """Unit normals of the pressed surface, by Nanson: the inverse transpose of the gradient."""
+    """Return unit normals of the pressed surface (Nanson: inverse transpose of the gradient)."""
     step = 1e-5
     F = np.stack(
         [(pressed(x + step * e) - pressed(x - step * e)) / (2 * step) for e in np.eye(3)], axis=2
@@ -56,7 +56,7 @@ def noisy() -> tuple[FloatArray, FloatArray]:
     return points + off[:, None] * normals, normals
 
 
-def test_points_beside_the_interface_go_where_the_body_goes(
+def test_points_near_the_interface_move_with_the_body(
     truth: Moved, noisy: tuple[FloatArray, FloatArray]
 ) -> None:
     points, normals = noisy
@@ -64,14 +64,16 @@ def test_points_beside_the_interface_go_where_the_body_goes(
     after = normals_after(points, normals)
     off = np.einsum("kc,kc->k", went[0] - pressed(points), after)
     assert np.sqrt(np.mean(off**2)) < 0.008
-    # Where the nearest point of the truth goes is worse by far: it knows nothing of the depth.
+    # The displacement of the nearest true point is much worse: it ignores the depth.
     nearest = np.argmin(np.linalg.norm(points[:, None] - truth.points[None], axis=2), axis=1)
     naive = np.einsum("kc,kc->k", points + truth.displacement[0, nearest] - pressed(points), after)
     assert np.sqrt(np.mean(naive**2)) > 0.05
-    np.testing.assert_allclose(went[1], points, atol=1e-9)  # a body that stands still
+    np.testing.assert_allclose(went[1], points, atol=1e-9)  # an undeformed body
 
 
-def test_more_points_of_the_truth_make_it_better(noisy: tuple[FloatArray, FloatArray]) -> None:
+def test_interpolation_converges_with_the_number_of_true_points(
+    noisy: tuple[FloatArray, FloatArray],
+) -> None:
     points, normals = noisy
     on = points - np.einsum("kc,kc->k", points - noisy_feet(points), normals)[:, None] * normals
     errors = []
@@ -86,13 +88,11 @@ def test_more_points_of_the_truth_make_it_better(noisy: tuple[FloatArray, FloatA
 
 
 def noisy_feet(points: FloatArray) -> FloatArray:
-    """On the ellipsoid, in the direction of its middle."""
+    """Project radially onto the ellipsoid."""
     return points / np.linalg.norm(points / AXES, axis=1, keepdims=True)
 
 
-def test_a_model_that_is_off_by_a_known_field_has_that_gap(
-    truth: Moved, noisy: tuple[FloatArray, FloatArray]
-) -> None:
+def test_gap_equals_a_known_error_field(truth: Moved, noisy: tuple[FloatArray, FloatArray]) -> None:
     points, normals = noisy
     after = normals_after(points, normals)
     rng = np.random.default_rng(3)
@@ -114,10 +114,8 @@ def test_a_model_that_is_off_by_a_known_field_has_that_gap(
     assert found.material_mm == found.gap_mm
 
 
-def test_skin_that_slides_along_itself_opens_no_gap(
-    truth: Moved, noisy: tuple[FloatArray, FloatArray]
-) -> None:
-    """By 8 mm, about the middle of the body: from the plane of a normal that is a millimetre."""
+def test_sliding_skin_opens_no_gap(truth: Moved, noisy: tuple[FloatArray, FloatArray]) -> None:
+    """By 8 mm about the middle of the body, which is a millimetre off the tangent plane."""
     points, normals = noisy
     feet = noisy_feet(points)
     angle = 8.0 / 35.0
@@ -129,7 +127,7 @@ def test_skin_that_slides_along_itself_opens_no_gap(
     there /= np.linalg.norm(there, axis=1, keepdims=True)
     amiss = 0.2 * np.cos(points[:, 1] / 12)
     after = normals_after(slid, there)
-    # A point that the scan has put off the outline is so in the model, too.
+    # A point that the scan has put off the outline is off it in the model, too.
     moved = pressed(slid) + (pressed(points) - pressed(feet)) + amiss[:, None] * after
     on = np.zeros(len(points), np.int32)
     nothing = np.zeros((1, len(points)))
@@ -140,7 +138,7 @@ def test_skin_that_slides_along_itself_opens_no_gap(
     assert np.abs(off).max() > 0.5
 
 
-def test_an_answer_to_other_scans_is_refused(
+def test_rejects_an_answer_to_other_scans(
     truth: Moved, noisy: tuple[FloatArray, FloatArray]
 ) -> None:
     points, normals = noisy
@@ -152,8 +150,8 @@ def test_an_answer_to_other_scans_is_refused(
         material_points(points, few)
 
 
-def test_scans_and_labels_too_large_draw_interfaces_outside_of_the_body() -> None:
-    """Four points of a cube's faces, two of fat and two of gland, in one scan."""
+def test_oversized_scans_and_labels_displace_drawn_interfaces() -> None:
+    """Four points on a cube's faces, two of fat and two of gland, in one scan."""
     centre = (1.0, 2.0, 3.0)
     points = np.array([[[11.0, 2, 3], [1, -8, 3], [1, 2, 23], [-9, 2, 3]]])
     normals = np.array([[[1.0, 0, 0], [0, -1, 0], [0, 0, 1], [0, 1, 0]]])
@@ -169,7 +167,7 @@ def test_scans_and_labels_too_large_draw_interfaces_outside_of_the_body() -> Non
     motion = {"motion_x_mm": 0.5, "motion_turn_z_deg": 1.0}
     elsewhere = drawn_mm(points, normals, interface, centre, motion)
     assert elsewhere == pytest.approx(np.array([[0.5, 0.0, 0.0, -0.1745]]), abs=1e-4)
-    # 0.01 mm along x for each mm of y, on a face along x that is 5 mm above the middle.
+    # 0.01 mm along x for each mm of y, on a face along x, 5 mm above the middle.
     raised = points + np.array([0.0, 5.0, 0.0])
     sheared = drawn_mm(raised, normals, interface, centre, {"shear_xy": 0.01})
     assert sheared[0, 0] == pytest.approx(0.05)
@@ -177,12 +175,12 @@ def test_scans_and_labels_too_large_draw_interfaces_outside_of_the_body() -> Non
     assert without == pytest.approx(np.array([[0.3, 0.3, -0.1, -0.1]]))
 
 
-def test_points_that_a_plate_presses_are_on_the_outline_whatever_was_drawn(
+def test_points_under_a_plate_are_on_the_outline(
     truth: Moved, noisy: tuple[FloatArray, FloatArray]
 ) -> None:
-    """Every second one is: the model has it at its foot, the others as far off as they were drawn.
+    """Every second point is: the model has it at its foot, the others as far off as drawn.
 
-    Who takes all for free counts what was drawn of the pressed ones as a gap.
+    If all points were free, the drawn offset of the pressed ones would count as a gap.
     """
     points, normals = noisy
     off = np.einsum("kc,kc->k", points - noisy_feet(points), normals)

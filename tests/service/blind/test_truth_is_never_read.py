@@ -1,4 +1,4 @@
-"""The diagnosis opens the files of its case and none of the truth, which lies beside it."""
+"""Files opened by a diagnosis: those of its case, none of the truth in the folder next to it."""
 
 import json
 import os
@@ -17,7 +17,7 @@ ROOT = HERE.parents[2]
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A case and its truth side by side; a copy of the truth lies in the case itself."""
+    """A case and its truth side by side; the case itself also contains a copy of the truth."""
     home = tmp_path_factory.mktemp("beside").resolve()
     case, truth = home / "case", home / "truth"
     case.mkdir()
@@ -31,7 +31,7 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def opened(
     folders: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, set[Path]]:
-    """What a diagnosis in a process of its own opens or lists, and what we open there."""
+    """Paths opened or listed by a diagnosis in a separate process, and by this test."""
     case, truth = folders
     store = tmp_path_factory.mktemp("store") / "store"
     command = [sys.executable, HERE.parent / "open_files.py", case, store, truth / "truth.npz"]
@@ -46,21 +46,23 @@ def opened(
     return {who: {Path(p) for p in paths} for who, paths in json.loads(ran.stdout).items()}
 
 
-def test_no_truth_is_opened(folders: tuple[Path, Path], opened: dict[str, set[Path]]) -> None:
+def test_diagnosis_opens_no_truth(folders: tuple[Path, Path], opened: dict[str, set[Path]]) -> None:
     case, truth = folders
     seen = opened["by_the_diagnosis"]
     scans = read_settings(case)["scans"]
     named = ["case.yaml", scans["reference"], *(d["file"] for d in scans["loads"])]
     assert {path for path in seen if case in path.parents} == {case / name for name in named}
     assert not [path for path in seen if path == truth or truth in path.parents]
-    assert case.parent not in seen  # nor is the folder listed in which both lie
+    assert case.parent not in seen  # nor is their common folder listed
 
 
-def test_the_list_would_show_it(folders: tuple[Path, Path], opened: dict[str, set[Path]]) -> None:
+def test_access_to_the_truth_would_be_detected(
+    folders: tuple[Path, Path], opened: dict[str, set[Path]]
+) -> None:
     assert folders[1] / "truth.npz" in opened["by_us"]
 
 
-def test_what_diagnoses_imports_nothing_that_makes_or_opens_cases() -> None:
+def test_diagnosis_imports_no_module_that_makes_or_opens_cases() -> None:
     modules = "palpate.service.blind.answering.single_process, palpate.workers.tasks.diagnosis"
     lines = f"import sys; import {modules}; print(*sys.modules)"
     ran = subprocess.run(

@@ -1,4 +1,4 @@
-"""Workers as copies of a process that has done their imports: each test in a process of its own."""
+"""Workers forked from a process with imports done; each test runs in a new process."""
 
 import json
 import os
@@ -20,7 +20,7 @@ IMPORTS = "palpate.service.diagnosis.worker_imports"
 
 
 def started(folder: Path, *arguments: str) -> subprocess.Popen[str]:
-    """A command in a session of its own, as in a terminal of its own."""
+    """Start a command in a new session, as in a separate terminal."""
     return subprocess.Popen(
         [sys.executable, "-m", "palpate", *arguments],
         cwd=folder,
@@ -31,7 +31,7 @@ def started(folder: Path, *arguments: str) -> subprocess.Popen[str]:
 
 
 def has_ended(group: int, within_s: float) -> bool:
-    """Whether no process of a group is left; the fork server may have an import to finish."""
+    """Return True if no process of a group is left; the fork server may finish an import."""
     end = time.monotonic() + within_s
     while time.monotonic() < end:
         try:
@@ -43,7 +43,7 @@ def has_ended(group: int, within_s: float) -> bool:
 
 
 def printed(folder: Path, script: str) -> Any:
-    """Run a script in a folder; what it prints as JSON."""
+    """Run a script in a folder and return its output, parsed as JSON."""
     done = subprocess.run(
         [sys.executable, "-P", "-c", textwrap.dedent(script)],  # as in the command `palpate`
         cwd=folder,
@@ -57,7 +57,7 @@ def printed(folder: Path, script: str) -> Any:
     return json.loads(done.stdout)
 
 
-def test_workers_begin_with_imports_and_so_does_one_that_replaces_another(tmp_path: Path) -> None:
+def test_forked_workers_and_their_replacements_have_the_imports(tmp_path: Path) -> None:
     (tmp_path / "storage.py").write_text("raise ValueError('of the user, not ours')")
     found = printed(
         tmp_path,
@@ -96,7 +96,7 @@ def test_workers_begin_with_imports_and_so_does_one_that_replaces_another(tmp_pa
         assert worker == {"imported": True, "interrupts": False, "threads": "1"}
 
 
-def test_workers_that_do_not_start_are_one_message(tmp_path: Path) -> None:
+def test_workers_that_do_not_start_give_one_message(tmp_path: Path) -> None:
     dies = "import os\nos.register_at_fork(after_in_child=lambda: os._exit(1))\n"
     (tmp_path / "dies.py").write_text(dies)
     message = printed(
@@ -119,7 +119,7 @@ def test_workers_that_do_not_start_are_one_message(tmp_path: Path) -> None:
     assert message.startswith("No worker process has started in 3 attempts")
 
 
-def test_nothing_is_imported_for_workers_elsewhere() -> None:
+def test_imports_nothing_for_remote_workers() -> None:
     with forked_workers("tcp://10.0.0.5:8786", "no.such.module"):
         assert dask.config.get(METHOD) == "spawn"
 
@@ -139,7 +139,7 @@ def test_a_refused_case_leaves_no_process(tmp_path: Path) -> None:
     "when", ["Understood", pytest.param("measuring distances", marks=pytest.mark.slow)]
 )
 def test_a_diagnosis_stopped_by_ctrl_c_leaves_no_process(tmp_path: Path, when: str) -> None:
-    """As a terminal stops it: all processes are told, the command alone answers."""
+    """As a terminal stops it: all processes get the signal, only the command responds."""
     case = write_case(tmp_path / "case", {})
     with started(tmp_path, "diagnose", str(case), "--workers", "2", "--nodes", "1600") as running:
         assert running.stderr is not None

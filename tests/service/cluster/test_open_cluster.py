@@ -1,4 +1,4 @@
-"""Clusters: what is set before they start, and what is said when there is none."""
+"""Opening clusters: environment, replacement of workers, messages without a scheduler."""
 
 import os
 import signal
@@ -39,7 +39,7 @@ def meet(folder: str, own: str, other: str) -> dict[str, Any]:
     return {"met": met}
 
 
-def test_a_local_cluster() -> None:
+def test_local_cluster_runs_tasks_and_passes_on_errors() -> None:
     with open_cluster(workers=1) as cluster:
         assert cluster.local
         assert cluster.dashboard.startswith("http://127.0.0.1:")
@@ -47,10 +47,10 @@ def test_a_local_cluster() -> None:
         assert scheduler.allowed_failures == CONFIG["distributed.scheduler.allowed-failures"]
         dispatcher = Dispatcher(cluster.client)
         assert dispatcher.threads == 1
-        # Ctrl-C on a terminal goes to the workers, too; they leave it to the driver.
+        # Ctrl-C in a terminal also reaches the workers; they leave it to the driver.
         assert dispatcher.call(signals_of_process) == {"interrupts": False, "threads": "1"}
         assert signals_of_process()["interrupts"]
-        # What the user can put right comes back as it was raised; what he cannot, as a crash.
+        # Errors that a user can correct come back unchanged; others come back as crashes.
         with pytest.raises(InputError, match="choose another"):
             dispatcher.call(fail, "choose another")
         with pytest.raises(TaskError, match="fail failed: ZeroDivisionError"):
@@ -63,11 +63,11 @@ def test_a_worker_that_dask_has_given_up_is_replaced(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(cluster_module, "MEND_EVERY_S", 0.2)
     with open_cluster(workers=1) as cluster:
         local = cluster.client.cluster
-        local.sync(local.workers[0].close)  # as after a restart that failed
+        local.sync(local.workers[0].close)  # as after a failed restart
         assert Dispatcher(cluster.client, no_worker_s=30.0).call(signals_of_process)
 
 
-def test_no_scheduler_at_an_address() -> None:
+def test_reports_a_missing_scheduler() -> None:
     with (
         pytest.raises(ClusterError, match="There is no scheduler at tcp://"),
         open_cluster("tcp://127.0.0.1:9", connect_s=0.5),
@@ -76,7 +76,7 @@ def test_no_scheduler_at_an_address() -> None:
 
 
 @pytest.mark.parametrize("address", ["not an address", "http://127.0.0.1:9", "x:y"])
-def test_an_address_that_is_none(address: str) -> None:
+def test_rejects_invalid_addresses(address: str) -> None:
     with (
         pytest.raises(ClusterError, match="There is no scheduler"),
         open_cluster(address, connect_s=0.5),
@@ -84,7 +84,7 @@ def test_an_address_that_is_none(address: str) -> None:
         pass
 
 
-def test_a_taken_port_is_left_to_others() -> None:
+def test_free_port_avoids_a_taken_port() -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -95,7 +95,7 @@ def worker_environment() -> dict[str, Any]:
     return {name: os.environ.get(name) for name in ("PALPATE_TOKEN", "PYTHONSAFEPATH")}
 
 
-def test_what_is_set_for_workers_does_not_outlive_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worker_environment_is_restored_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     with open_cluster(workers=1) as cluster:
@@ -104,7 +104,7 @@ def test_what_is_set_for_workers_does_not_outlive_them(monkeypatch: pytest.Monke
     assert os.environ["OMP_NUM_THREADS"] == "7"
 
 
-def test_a_local_cluster_admits_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_local_cluster_refuses_other_clients(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PALPATE_TOKEN", "x" * 20)
     take_token()  # as the service does before it opens a cluster
     with open_cluster(workers=1) as cluster:

@@ -232,7 +232,7 @@ OPTIONS = {
         f"{RUN} --scheduler http://127.0.0.1:8787", "which is no address"
     ),
     "a scheduler that nobody knows": BadInput(
-        f"{RUN} --scheduler tcp://no.such.host.invalid:8786", "nobody knows the host"
+        f"{RUN} --scheduler tcp://no.such.host.invalid:8786", "is unknown"
     ),
     "a scheduler that does not listen": BadInput(
         f"{RUN} --scheduler tcp://127.0.0.1:9", "There is no scheduler at tcp://127.0.0.1:9"
@@ -326,7 +326,7 @@ PLACES = {
         plain_user=True,
     ),
     "a study's folder that is a file": BadInput(
-        f"{RUN} --study taken", "is a file, expected a study folder", text("x", "taken")
+        f"{RUN} --study taken", "is a file; expected a study folder", text("x", "taken")
     ),
     "a store that is a file": BadInput(f"{RUN} --store taken", "is a file", text("x", "taken")),
     "a name too long for the disk": BadInput(f"palpate run {'n' * 300}.yaml", "n.yaml"),

@@ -61,5 +61,5 @@ def test_without_a_browser_the_path_is_printed(
 
 def test_a_folder_without_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["open", str(tmp_path)]) == 2
-    assert "holds no journal of a study" in capsys.readouterr().err
+    assert "has no journal of a study" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -146,7 +146,7 @@ def test_an_archive_that_leads_elsewhere_is_refused(study: Path, tmp_path: Path,
     export_study(study, archive)
     with tarfile.open(archive, "a") as tar:
         tar.add(study / "study.yaml", name, filter=lambda member: _renamed(member, name))
-    with pytest.raises(StoreError, match="does not belong into it"):
+    with pytest.raises(StoreError, match="does not belong in it"):
         import_study(archive, tmp_path / "new" / "demo", tmp_path / "new" / "store")
     assert not (tmp_path / "new" / "demo").exists()
     assert not [p for p in (tmp_path / "new" / "store").iterdir() if p.name.startswith(".tmp")]
@@ -177,6 +177,6 @@ def test_a_damaged_archive_is_refused(study: Path, tmp_path: Path, damage: str) 
             link = tarfile.TarInfo("store/evaluations/a.json")
             link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
             tar.addfile(link)
-    with pytest.raises(StoreError, match="is no archive of a study, or is damaged"):
+    with pytest.raises(StoreError, match="is not an archive of a study, or is damaged"):
         import_study(archive, tmp_path / "new" / "demo", tmp_path / "new" / "store")
     assert not (tmp_path / "new" / "demo").exists()

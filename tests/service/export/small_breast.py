@@ -1,4 +1,4 @@
-"""The small breast that these tests export."""
+"""The small breast exported by the tests."""
 
 PHANTOM = {"preset": "445ml", "spacing_mm": 2.0, "seed": 1}
 CASE = {

@@ -1,4 +1,4 @@
-"""What is written for other programs is the body that was solved."""
+"""Exported files against the solved body."""
 
 import re
 from dataclasses import replace
@@ -19,7 +19,7 @@ from palpate.workers.mechanics.fem.elements.external_forces import stated_spring
 from tests.service.export.small_breast import CASE, CONSTANTS
 
 
-def test_a_mesh_file_has_stress_and_strain(body: SolvedBody, tmp_path: Path) -> None:
+def test_mesh_file_has_stress_and_strain(body: SolvedBody, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.vtu"], body)
     found = meshio.read(tmp_path / "b.vtu")
     rest = found.points - found.point_data["displacement_mm"]
@@ -34,7 +34,7 @@ def test_a_mesh_file_has_stress_and_strain(body: SolvedBody, tmp_path: Path) -> 
     np.testing.assert_allclose(cells["volume_ratio"], ratio, rtol=1e-9)
     normal = cells["cauchy_stress_kpa"][:, :3]
     np.testing.assert_allclose(cells["pressure_kpa"], -normal.mean(axis=1), atol=1e-9)
-    # What the plates carry, 60 N, presses on a middle plane: stress times area.
+    # The plate force, 60 N, acts on a middle plane: stress times area.
     force_n = 60 * np.ptp(found.points[:, 1]) * 1e3
     share = -(cells["cauchy_stress_kpa"][:, 1] * volume(found.points) / 6).sum()
     assert share == pytest.approx(force_n, rel=0.02)
@@ -42,7 +42,7 @@ def test_a_mesh_file_has_stress_and_strain(body: SolvedBody, tmp_path: Path) -> 
     assert cells["green_strain"].shape == (len(tets), 6)
 
 
-def test_the_surface_is_closed_and_holds_the_volume(body: SolvedBody, tmp_path: Path) -> None:
+def test_surface_is_closed_and_encloses_the_volume(body: SolvedBody, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.stl"], body)
     corners = np.frombuffer(
         (tmp_path / "b.stl").read_bytes()[84:],
@@ -55,7 +55,7 @@ def test_the_surface_is_closed_and_holds_the_volume(body: SolvedBody, tmp_path: 
     assert np.abs(np.cross(b - a, c - a).sum(axis=0)).max() < 1e-3 * ml * 1e3
 
 
-def test_labels_are_those_of_the_deformed_body(body: SolvedBody, tmp_path: Path) -> None:
+def test_labels_match_the_deformed_body(body: SolvedBody, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.nrrd"], body)
     labels = read_volume(tmp_path / "b.nrrd")
     ml = (labels.values > 0).sum() * labels.voxel_mm3 / 1e3
@@ -74,10 +74,8 @@ def model(body: SolvedBody, told: SolvedBody) -> SolverModel:
     return solver_model(body, told)
 
 
-def test_a_febio_file_says_the_same_as_the_model(
-    body: SolvedBody, model: SolverModel, tmp_path: Path
-) -> None:
-    """Structure and syntax are those of a file that FEBio 4.11 has solved."""
+def test_febio_file_matches_the_model(body: SolvedBody, model: SolverModel, tmp_path: Path) -> None:
+    """Structure and syntax match a file solved by FEBio 4.11."""
     export_solved([tmp_path / "b.feb"], body)
     root = Xml.parse(tmp_path / "b.feb").getroot()
     assert [part.tag for part in root] == [
@@ -100,13 +98,13 @@ def test_a_febio_file_says_the_same_as_the_model(
     assert set(domains) == set(domains.values()) == materials
     counts = {e.get("name"): len(e) for e in root.iter("Elements")}
     assert counts["FAT"] + counts["GLANDULAR"] == len(model.tets)
-    assert 0 < counts["FIBRES1_FAT"] < counts["FAT"]  # where they are stretched
+    assert 0 < counts["FIBRES1_FAT"] < counts["FAT"]  # only stretched elements
     sets = {s.get("name"): [int(n) - 1 for n in s.text.split(",")] for s in root.iter("NodeSet")}
     data = {d.get("node_set"): [float(n.text) for n in d] for d in root.iter("NodeData")}
     for condition in root.iter("bc"):
         where, axis = condition.get("node_set"), "xyz".index(condition.find("dof").text)
         expected = np.flatnonzero(model.prescribed[:, axis])
-        # Nothing but springs of ours holds the body along x: one node stands in for them.
+        # Only our springs hold the body along x: one node replaces them.
         assert len(sets[where]) == 1 if axis == 0 else list(sets[where]) == expected.tolist()
         np.testing.assert_allclose(
             data[where], model.displacement_mm[sets[where], axis], rtol=1e-9, atol=1e-12
@@ -116,14 +114,14 @@ def test_a_febio_file_says_the_same_as_the_model(
     assert fibre.find("fiber").text == "0,0,1"
 
 
-def test_the_plates_prescribe_their_normal_alone(told: SolvedBody, model: SolverModel) -> None:
+def test_plates_prescribe_only_the_normal_component(told: SolvedBody, model: SolverModel) -> None:
     touching = contact_nodes(told)
     assert touching.sum() > 20
     np.testing.assert_array_equal(model.prescribed[:, 1], touching)
     assert not model.prescribed[:, 0].any()
 
 
-def test_header_of_the_deck_says_what_is_not_in_it(body: SolvedBody, tmp_path: Path) -> None:
+def test_deck_header_lists_omissions(body: SolvedBody, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.inp"], body)
     header = " ".join(re.findall(r"^\*\* (.*)$", (tmp_path / "b.inp").read_text(), re.MULTILINE))
     assert "a small breast" in header
@@ -133,7 +131,7 @@ def test_header_of_the_deck_says_what_is_not_in_it(body: SolvedBody, tmp_path: P
     assert "E_fat = 0.01" in header
 
 
-def test_what_cannot_be_said_is_named(store: str, tmp_path: Path) -> None:
+def test_header_names_omitted_features(store: str, tmp_path: Path) -> None:
     constants = CONSTANTS | {"E_skin": 0.1}
     found = solve_body(CASE | {"model": {"skin": "membrane"}}, constants, store, "with skin")
     export_solved([tmp_path / "b.inp"], found)
@@ -141,7 +139,7 @@ def test_what_cannot_be_said_is_named(store: str, tmp_path: Path) -> None:
     assert "Skin: left out" in header
 
 
-def test_a_law_that_no_other_solver_is_told_is_refused(store: str, tmp_path: Path) -> None:
+def test_rejects_laws_that_other_solvers_lack(store: str, tmp_path: Path) -> None:
     model = {"model": {"law": {"fat": "fung"}}}
     found = solve_body(CASE | model, CONSTANTS | {"fung_b_fat": 2.0}, store, "another law")
     with pytest.raises(InputError, match=r"other laws \(fat: Fung, .*\.vtu"):
@@ -150,7 +148,7 @@ def test_a_law_that_no_other_solver_is_told_is_refused(store: str, tmp_path: Pat
     export_solved([tmp_path / "b.vtu"], found)
 
 
-def test_attachments_are_springs_and_growth_is_left_out(store: str, tmp_path: Path) -> None:
+def test_attachments_become_springs_and_growth_is_omitted(store: str, tmp_path: Path) -> None:
     hidden = {"attachment_stiffness_x": 1e-4, "attachment_z": -20.0, "ln_growth_fat": 0.02}
     own = solve_body(CASE, CONSTANTS | hidden, store, "a body that is held")
     found = solver_model(own, own.under(comparable(own.solved.problem)))
@@ -164,7 +162,7 @@ def test_attachments_are_springs_and_growth_is_left_out(store: str, tmp_path: Pa
     assert not patch[:, 1:].any()
     np.testing.assert_allclose(found.stated_springs_n_per_mm + found.drift_n_per_mm, level.springs)
     assert "Growth: left out." in found.remarks
-    # FEBio is told of the middle of the patch, 3.7 radii wide, and of no skin far from it.
+    # FEBio gets the middle of the patch, 3.7 radii wide, and no distant skin.
     export_solved([tmp_path / "b.feb"], own)
     root = Xml.parse(tmp_path / "b.feb").getroot()
     sets = {s.get("name"): [int(n) - 1 for n in s.text.split(",")] for s in root.iter("NodeSet")}
@@ -176,7 +174,7 @@ def test_attachments_are_springs_and_growth_is_left_out(store: str, tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_a_diverged_body_is_not_written(store: str, tmp_path: Path) -> None:
+def test_rejects_a_diverged_body(store: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="diverged"):
         solve_body(CASE | {"load": {"force_n": 1e6}}, CONSTANTS, store, "crushed")
 
@@ -191,7 +189,7 @@ def test_a_diverged_body_is_not_written(store: str, tmp_path: Path) -> None:
         (["export", "nix.yaml", "b.inp"], "nix.yaml"),
     ],
 )
-def test_mistakes_are_refused_before_anything_is_solved(
+def test_invalid_arguments_fail_before_solving(
     arguments: list[str],
     said: str,
     tmp_path: Path,

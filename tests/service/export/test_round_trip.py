@@ -1,4 +1,4 @@
-"""Every file that `palpate export --help` lists is written, read again and compared."""
+"""Round trips: every format listed by `palpate export --help` is written and read."""
 
 import re
 from pathlib import Path
@@ -24,7 +24,7 @@ LABEL_SUFFIXES = (*VOLUME_SUFFIXES, ".seg.nrrd")
 SOLVER_SUFFIXES = (".inp", ".feb")
 
 
-def test_help_lists_every_suffix_and_no_other(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_exactly_the_supported_suffixes(capsys: pytest.CaptureFixture[str]) -> None:
     tested = {*MESH_SUFFIXES, *LABEL_SUFFIXES, *SOLVER_SUFFIXES, ".stl", ".pvd", ".gif"}
     assert main(["export", "--help"]) == 0
     listed = set(re.findall(r"(?<![\w.])\.[a-z]{3,4}(?:\.[a-z]+)?\b", capsys.readouterr().out))
@@ -33,12 +33,12 @@ def test_help_lists_every_suffix_and_no_other(capsys: pytest.CaptureFixture[str]
 
 
 def full(six: np.ndarray) -> np.ndarray:
-    """Symmetric tensors from xx, yy, zz, xy, yz, xz, row by row."""
+    """Return symmetric tensors from xx, yy, zz, xy, yz, xz, row by row."""
     return six[:, [0, 3, 5, 3, 1, 4, 5, 4, 2]]
 
 
 @pytest.mark.parametrize("suffix", MESH_SUFFIXES)
-def test_a_mesh_comes_back_with_its_fields(body: SolvedBody, suffix: str, tmp_path: Path) -> None:
+def test_mesh_round_trip_with_fields(body: SolvedBody, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"b{suffix}"
     export_solved([path], body)
     found = meshio.read(path)
@@ -72,7 +72,7 @@ def test_a_mesh_comes_back_with_its_fields(body: SolvedBody, suffix: str, tmp_pa
     assert all(name.startswith("gmsh:") for name in extra)
 
 
-def test_a_surface_comes_back(body: SolvedBody, tmp_path: Path) -> None:
+def test_surface_round_trip(body: SolvedBody, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.stl"], body)
     found = meshio.read(tmp_path / "b.stl")
     triangles = boundary_triangles(body.level.model.elements.tets)
@@ -81,7 +81,7 @@ def test_a_surface_comes_back(body: SolvedBody, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", LABEL_SUFFIXES)
-def test_labels_come_back_by_name(body: SolvedBody, suffix: str, tmp_path: Path) -> None:
+def test_label_round_trip_by_name(body: SolvedBody, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"b{suffix}"
     export_solved([path], body)
     written, found = body.deformed_labels(), read_labels(path)
@@ -96,8 +96,8 @@ def test_labels_come_back_by_name(body: SolvedBody, suffix: str, tmp_path: Path)
 
 
 @pytest.mark.parametrize("suffix", LABEL_SUFFIXES)
-def test_names_count_not_numbers(suffix: str, tmp_path: Path) -> None:
-    """Numbers of another program, a name with signs that XML escapes, and an unknown place."""
+def test_labels_are_matched_by_name_not_number(suffix: str, tmp_path: Path) -> None:
+    """Labels of another program, a name with characters escaped in XML, an unknown position."""
     values = np.zeros((3, 4, 5), np.int64)
     values[1, 1:3, 1:4], values[1, 1, 1] = 300, 7
     names = {300: "Fat", 7: "Glandular <left & right>"}
@@ -116,7 +116,7 @@ def model(body: SolvedBody) -> SolverModel:
     return solver_model(body, body.under(comparable(body.solved.problem)))
 
 
-def test_a_calculix_deck_comes_back(body: SolvedBody, model: SolverModel, tmp_path: Path) -> None:
+def test_calculix_round_trip(body: SolvedBody, model: SolverModel, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.inp"], body)
     nodes, tets, reading = [], [], ""
     for line in (tmp_path / "b.inp").read_text().splitlines():
@@ -130,7 +130,7 @@ def test_a_calculix_deck_comes_back(body: SolvedBody, model: SolverModel, tmp_pa
     assert {*tets} == {*map(tuple, model.tets)}
 
 
-def test_a_febio_model_comes_back(body: SolvedBody, model: SolverModel, tmp_path: Path) -> None:
+def test_febio_round_trip(body: SolvedBody, model: SolverModel, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.feb"], body)
     mesh = Xml.parse(tmp_path / "b.feb").getroot().find("Mesh")
     nodes = [[float(v) for v in n.text.split(",")] for n in mesh.iter("node") if n.get("id")]
@@ -139,7 +139,7 @@ def test_a_febio_model_comes_back(body: SolvedBody, model: SolverModel, tmp_path
     assert {*elements} == {*map(tuple, model.tets)}
 
 
-def test_a_series_leads_from_rest_to_load(body: SolvedBody, tmp_path: Path) -> None:
+def test_series_goes_from_rest_to_load(body: SolvedBody, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.pvd"], body)
     told = (tmp_path / "b.pvd").read_text()
     assert "scaled from 0 to 1, not load steps" in told
@@ -154,7 +154,7 @@ def test_a_series_leads_from_rest_to_load(body: SolvedBody, tmp_path: Path) -> N
         np.testing.assert_array_equal(found.cells_dict["tetra"], body.level.model.elements.tets)
 
 
-def test_a_movie_moves(body: SolvedBody, tmp_path: Path) -> None:
+def test_movie_is_animated(body: SolvedBody, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.gif"], body)
     with Image.open(tmp_path / "b.gif") as movie:
         assert movie.is_animated

@@ -1,4 +1,4 @@
-"""Several studies side by side: constants, scores, settings that differ, convergence."""
+"""Comparison of studies: constants, scores, differing settings, convergence."""
 
 import csv
 import io
@@ -23,7 +23,7 @@ def named(spec: StudySpec, name: str) -> StudySpec:
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two studies of the same target: one has converged, one has not."""
+    """Two studies of the same target, only one of which has converged."""
     root = tmp_path_factory.mktemp("comparison") / "runs"
     run(root / "fitted", Inline(), named(spec_of("least-squares"), "fitted"))
     run(root / "searched", Inline(), named(small_spec(), "searched"))
@@ -35,7 +35,7 @@ def comparison(root: Path) -> StudyComparison:
     return compare_studies([root / "fitted", root / "searched"])
 
 
-def test_only_settings_that_differ_are_shown(comparison: StudyComparison) -> None:
+def test_shows_only_differing_settings(comparison: StudyComparison) -> None:
     assert comparison.settings["search.strategy"] == ("least-squares", "genetic")
     assert "seed" not in comparison.settings
     assert "name" not in comparison.settings
@@ -52,7 +52,7 @@ def test_the_lowest_score_never_rises(comparison: StudyComparison) -> None:
     assert comparison.axis == "GSF"
 
 
-def test_the_record_and_the_table_agree(comparison: StudyComparison) -> None:
+def test_json_record_and_table_agree(comparison: StudyComparison) -> None:
     record = json.loads(json.dumps(comparison.as_dict(), allow_nan=False))
     assert [one["label"] for one in record["studies"]] == ["fitted", "searched"]
     rows = list(csv.DictReader(io.StringIO(comparison.as_csv())))
@@ -84,7 +84,7 @@ def test_the_page_shows_constants_scores_and_settings(comparison: StudyCompariso
     assert render(comparison) == page.source
 
 
-def test_studies_of_one_name_are_told_apart_by_their_folders(root: Path, tmp_path: Path) -> None:
+def test_labels_studies_of_one_name_by_their_folders(root: Path, tmp_path: Path) -> None:
     run(tmp_path / "again", Inline(), named(spec_of("least-squares"), "fitted"))
     found = compare_studies([root / "fitted", tmp_path / "again"])
     assert [s.label for s in found.studies] == [str(root / "fitted"), str(tmp_path / "again")]
@@ -92,7 +92,7 @@ def test_studies_of_one_name_are_told_apart_by_their_folders(root: Path, tmp_pat
     assert "None: the study files are equal but for their names." in Page(render(found)).text
 
 
-def test_what_cannot_be_compared_is_refused(root: Path, tmp_path: Path) -> None:
+def test_rejects_studies_that_cannot_be_compared(root: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at least two"):
         compare_studies([root / "fitted"])
     with pytest.raises(InputError, match="given twice"):

@@ -1,4 +1,4 @@
-"""Intervals, ratios and directions from a least-squares problem whose answer is known."""
+"""Intervals, ratios and directions of a least-squares problem with a known solution."""
 
 import math
 
@@ -37,7 +37,7 @@ def orthogonal(m: int = 200) -> np.ndarray:
     return np.asarray(q)
 
 
-def test_intervals_are_those_of_a_linear_model() -> None:
+def test_intervals_match_a_linear_model() -> None:
     q = orthogonal()
     jacobian = q[:, :2] * [100.0, 4.0]  # standard deviations of 1 % and 25 %
     found = identification_from_tangents(
@@ -56,10 +56,10 @@ def test_intervals_are_those_of_a_linear_model() -> None:
     assert found.noise_factor == 1.0
 
 
-def test_an_interval_also_holds_what_the_search_has_left_undone() -> None:
+def test_interval_covers_the_unfinished_part_of_the_search() -> None:
     q = orthogonal()
     jacobian = q[:, :2] * 100.0
-    # The optimum lies 5 % above in E_fat.
+    # The optimum is 5 % higher in E_fat.
     found = identification_from_tangents(
         SearchedConstants(BREAST, BOUNDS), 0, fit(jacobian, -0.05 * jacobian[:, 0])
     )
@@ -81,7 +81,7 @@ def test_residuals_beyond_the_noise_widen_the_intervals() -> None:
     assert interval.upper == pytest.approx(10 * math.exp(2 * DEVIATIONS / 100))
 
 
-def test_a_trade_is_put_in_words() -> None:
+def test_describes_a_trade_off_between_constants() -> None:
     q = orthogonal()
     size = math.hypot(0.3, 1.0)
     strong, weak = np.array([1.0, 0.3]) / size, np.array([-0.3, 1.0]) / size
@@ -93,7 +93,7 @@ def test_a_trade_is_put_in_words() -> None:
     assert found.correlation[0][1] < -0.5
 
 
-def test_a_common_scale_leaves_ratios() -> None:
+def test_common_scale_identifies_only_ratios() -> None:
     q = orthogonal()
     jacobian = np.outer(q[:, 0], [-20.0, 20.0])  # only the ratio matters
     found = identification_from_tangents(
@@ -108,7 +108,7 @@ def test_a_common_scale_leaves_ratios() -> None:
     assert found.directions[-1].words == "E_fat and eta_fat rise together 1 : 1, not seen at all"
 
 
-def test_what_is_not_seen_is_unknown() -> None:
+def test_unidentified_constant_is_unknown() -> None:
     jacobian = orthogonal()[:, :2] * [100.0, 0.0]
     found = identification_from_tangents(
         SearchedConstants(BREAST, BOUNDS), 0, fit(jacobian, np.zeros(200))
@@ -117,8 +117,8 @@ def test_what_is_not_seen_is_unknown() -> None:
     assert found.constants["E_fat"].identifiable == "value"
 
 
-def test_a_small_share_in_what_is_not_seen_widens_an_interval() -> None:
-    """A tenth of E goes with eta, of which nothing is seen in its whole searched interval."""
+def test_unidentified_direction_widens_other_intervals() -> None:
+    """A tenth of E depends on eta, which is unidentified in its whole searched interval."""
     jacobian = np.outer(orthogonal()[:, 0], [100.0, 10.0])
     found = identification_from_tangents(
         SearchedConstants(BREAST, BOUNDS), 0, fit(jacobian, np.zeros(200))
@@ -132,14 +132,14 @@ def test_a_small_share_in_what_is_not_seen_widens_an_interval() -> None:
     assert reach == pytest.approx(DEVIATIONS * math.hypot(share * along, 0.01), rel=0.01)
 
 
-def test_scatter_stands_in_for_tangents() -> None:
+def test_scatter_replaces_missing_derivatives() -> None:
     searched = SearchedConstants(BREAST, BOUNDS)
     alike = [{"E_fat": 0.01 * (1 + k / 100), "eta_fat": 0.05 + 0.01 * k} for k in range(11)]
     found = identification_from_scatter(searched, 7, BEST, alike, "no tangents here")
     E, eta = found.constants["E_fat"], found.constants["eta_fat"]
     assert E.interval is not None
     assert E.interval.origin == "scatter of equally good candidates"
-    assert E.interval.lower == pytest.approx(10.0)  # the best candidate is always in it
+    assert E.interval.lower == pytest.approx(10.0)  # it always contains the best candidate
     assert E.interval.upper == pytest.approx(10.95)
     assert (E.identifiable, eta.identifiable) == ("value", "weak")
     few = identification_from_scatter(searched, 7, BEST, alike[:4], "too few")

@@ -1,4 +1,4 @@
-"""The profile of a study whose sum of squares is known."""
+"""The profile of a study with a known sum of squares."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def profile(folder: Path, name: str) -> Profile:
     return profile_of(spec, log, TASKS, Inline(), name, 7)  # type: ignore[arg-type]
 
 
-def test_a_profile_is_the_parabola_that_it_should_be(folder: Path) -> None:
+def test_profile_matches_the_exact_parabola(folder: Path) -> None:
     """Twenty residuals E / E_true - 1 with a noise of 1 %: the rise is 20 ((E/10 - 1) / 0.01)^2."""
     found = profile(folder, "E_fat")
     values = np.array([p.value for p in found.points])
@@ -37,13 +37,13 @@ def test_a_profile_is_the_parabola_that_it_should_be(folder: Path) -> None:
     assert all(p.genes["E_glandular_kpa"] == pytest.approx(40, rel=1e-3) for p in found.points)
 
 
-def test_what_was_computed_is_not_computed_again(folder: Path) -> None:
+def test_repeated_profile_reuses_stored_evaluations(folder: Path) -> None:
     profile(folder, "E_fat_kpa")
     ran = executions(folder)
     profile(folder, "E_fat_kpa")
     assert executions(folder) == ran
 
 
-def test_an_unknown_constant_is_named(folder: Path) -> None:
+def test_rejects_an_unknown_constant(folder: Path) -> None:
     with pytest.raises(InputError, match="did you mean 'E_fat_kpa'"):
         profile(folder, "E_fatt_kpa")

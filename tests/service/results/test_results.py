@@ -1,4 +1,4 @@
-"""What `palpate report --json` promises to its readers."""
+"""The record of `palpate report --json`."""
 
 import json
 import math
@@ -39,7 +39,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_report_has_what_is_promised(folder: Path) -> None:
+def test_report_has_all_documented_keys(folder: Path) -> None:
     found = study_json(study_results(folder))
     assert set(found) >= KEYS
     json.dumps(found, allow_nan=False)
@@ -51,7 +51,7 @@ def test_a_report_has_what_is_promised(folder: Path) -> None:
     assert found["config"] == small_spec().as_dict()
 
 
-def test_estimates_are_the_best_candidate_against_the_hidden_constants(folder: Path) -> None:
+def test_estimates_compare_the_best_candidate_with_the_target(folder: Path) -> None:
     found = study_json(study_results(folder))
     endings = StudyLog.read(StudyLayout(folder).journal).endings.values()
     best = min((r for r in endings if r.score), key=lambda r: r.score["gsf"] if r.score else 0)
@@ -84,7 +84,7 @@ def test_the_best_of_the_generations_never_gets_worse(folder: Path) -> None:
     assert all(row["best"] <= row["mean"] for row in rows)
 
 
-def test_a_study_that_has_only_begun_can_be_read(tmp_path: Path) -> None:
+def test_reads_a_study_that_has_just_started(tmp_path: Path) -> None:
     folder = tmp_path / "demo"
     study = Study(small_spec(), folder)
     with study.folder.open() as journal:
@@ -99,8 +99,8 @@ def test_a_study_that_has_only_begun_can_be_read(tmp_path: Path) -> None:
     assert study_json(study_results(folder))["state"] == "interrupted"
 
 
-def test_a_perfect_score_is_a_text(tmp_path: Path) -> None:
-    """GSF is -inf for identical volumes, which JSON cannot say as a number."""
+def test_perfect_score_is_text(tmp_path: Path) -> None:
+    """GSF is -inf for identical volumes, which JSON cannot represent as a number."""
     folder = tmp_path / "demo"
     run(folder, Inline(), small_spec(SPEC.replace("generations: 5", "generations: 1")))
     journal = StudyLayout(folder).journal
@@ -116,7 +116,7 @@ def test_a_perfect_score_is_a_text(tmp_path: Path) -> None:
     assert math.isfinite(found["generations"][0]["mean"])
 
 
-def test_an_elite_shows_the_ending_that_it_was_carried_over_from(folder: Path) -> None:
+def test_elite_shows_the_evaluation_it_shares(folder: Path) -> None:
     elite = candidate_json(candidate_results(folder, 12))
     origin = candidate_json(candidate_results(folder, elite["evaluated_as"]))
     assert elite["generation"] == 2
@@ -127,10 +127,10 @@ def test_an_elite_shows_the_ending_that_it_was_carried_over_from(folder: Path) -
     assert best["candidate"] == study_json(study_results(folder))["best"]["candidate"]
 
 
-def test_unknown_candidates_and_studies_are_refused(folder: Path, tmp_path: Path) -> None:
+def test_rejects_unknown_candidates_and_studies(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="0 to 59"):
         candidate_results(folder, 60)
-    with pytest.raises(InputError, match="holds no journal"):
+    with pytest.raises(InputError, match="has no journal"):
         study_results(tmp_path)
     with pytest.raises(InputError, match="does not exist"):
         study_results(tmp_path / "nothing")
@@ -187,7 +187,7 @@ ENDED_KEYS = [
 ]
 
 
-def test_the_keys_of_the_json_stay_as_scripts_know_them(folder: Path) -> None:
+def test_json_keys_are_stable(folder: Path) -> None:
     record = study_json(study_results(folder))
     assert list(record) == list(STUDY_KEYS)
     for key, expected in STUDY_KEYS.items():

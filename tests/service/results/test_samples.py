@@ -1,4 +1,4 @@
-"""Draws from the posterior of the constants reproduce the intervals that are stated."""
+"""Draws from the posterior of the constants reproduce the reported intervals."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +20,8 @@ from tests.service.results.test_identification import BOUNDS, fit, orthogonal
 
 N = 20_000
 QUANTILES = ((1 - LEVEL) / 2, (1 + LEVEL) / 2)
-# The quantile 0.05 of n normal draws scatters by 2.1 sd / sqrt(n), and an interval is 3.3 sd wide:
-# five such errors, as a part of its width.
+# The 5 % quantile of n normal draws scatters by 2.1 sd / sqrt(n), and an interval is 3.3 sd wide:
+# five such errors, relative to its width.
 TOLERANCE = 5 * 2.1 / 3.3 / N**0.5
 
 
@@ -37,7 +37,7 @@ def assert_same_interval(draws: np.ndarray, interval: tuple[float, float]) -> No
     assert np.abs(found - interval).max() < TOLERANCE * (interval[1] - interval[0])
 
 
-def test_quantiles_are_the_ends_of_the_intervals(results: StudyResults) -> None:
+def test_quantiles_match_the_interval_ends(results: StudyResults) -> None:
     samples = draw_samples(results, N, seed=1)
     assert list(samples) == ["E_fat_kpa", "E_glandular_kpa"]
     for estimate in results.estimates.values():
@@ -46,8 +46,8 @@ def test_quantiles_are_the_ends_of_the_intervals(results: StudyResults) -> None:
 
 
 @pytest.mark.parametrize("logarithmic", [True, False])
-def test_intervals_beside_the_best_candidate_are_reproduced_too(logarithmic: bool) -> None:
-    """The optimum lies 1.5 standard deviations above the candidate in one constant."""
+def test_quantiles_match_intervals_off_the_best_candidate(logarithmic: bool) -> None:
+    """The optimum is 1.5 standard deviations above the candidate in one constant."""
     q = orthogonal()
     scale = np.ones(2) if logarithmic else np.array([np.ptp(b) for b in BOUNDS.values()])
     jacobian = (q[:, :2] @ [[100.0, 30.0], [0.0, 20.0]]) / scale
@@ -60,7 +60,7 @@ def test_intervals_beside_the_best_candidate_are_reproduced_too(logarithmic: boo
         assert_same_interval(draws, (constant.interval.lower, constant.interval.upper))
 
 
-def test_draws_are_correlated_as_the_errors_are() -> None:
+def test_draws_have_the_correlation_of_the_errors() -> None:
     jacobian = orthogonal()[:, :2] @ [[100.0, 60.0], [0.0, 40.0]]
     problem, searched = fit(jacobian, np.zeros(200)), SearchedConstants(BREAST, BOUNDS)
     local = LocalModel(problem, searched)
@@ -70,8 +70,8 @@ def test_draws_are_correlated_as_the_errors_are() -> None:
     assert found < -0.7
 
 
-def test_draws_stay_admissible() -> None:
-    """Poisson's ratio ends at one half, and so does its interval."""
+def test_draws_are_admissible() -> None:
+    """Poisson's ratio and its interval end at one half."""
     bounds = {"E_fat": (0.005, 0.02), "nu": (0.3, 0.4999)}
     problem = fit(orthogonal()[:, :2] * 100.0, np.zeros(200))
     problem |= {"parameters": list(bounds), "values": [0.01, 0.495]}  # type: ignore[typeddict-item]
@@ -82,14 +82,14 @@ def test_draws_stay_admissible() -> None:
     assert nu.max() == BREAST["nu"].admissible[1] == interval.upper
 
 
-def test_equal_seeds_give_equal_draws_and_a_choice_changes_none(results: StudyResults) -> None:
+def test_draws_depend_on_the_seed_but_not_on_the_selection(results: StudyResults) -> None:
     both = draw_samples(results, 50, seed=5)
     (fat,) = draw_samples(results, 50, seed=5, constants=["E_fat"]).values()
     assert np.array_equal(fat, both["E_fat_kpa"])
     assert not np.array_equal(draw_samples(results, 50, seed=6)["E_fat_kpa"], fat)
 
 
-def test_what_has_no_interval_is_refused_with_the_reason(results: StudyResults) -> None:
+def test_rejects_constants_without_an_interval(results: StudyResults) -> None:
     weak = replace(results.estimates["E_fat"], interval=None)
     partly = replace(results, estimates={**results.estimates, "E_fat": weak})
     with pytest.raises(InputError, match=r"E_fat_kpa has no interval.*\['E_glandular_kpa'\]"):
@@ -104,14 +104,14 @@ def test_what_has_no_interval_is_refused_with_the_reason(results: StudyResults) 
         draw_samples(replace(results, posterior=None))
 
 
-def test_a_study_that_has_not_converged_has_no_samples(tmp_path: Path) -> None:
+def test_unconverged_study_has_no_samples(tmp_path: Path) -> None:
     folder = tmp_path / "runs" / "demo"
     run(folder, Inline())
     with pytest.raises(InputError, match=r"E_fat_kpa has no interval.*has not converged"):
         draw_samples(study_results(folder))
 
 
-def test_the_data_set_is_that_of_arviz(results: StudyResults) -> None:
+def test_xarray_format_matches_arviz(results: StudyResults) -> None:
     pytest.importorskip("xarray", reason="xarray is not installed: pip install .[data]")
     samples = draw_samples(results, 30)
     made = samples.to_xarray()
@@ -122,6 +122,6 @@ def test_the_data_set_is_that_of_arviz(results: StudyResults) -> None:
     assert list(samples.to_frame().columns) == list(samples)
 
 
-def test_samples_are_short_in_print() -> None:
+def test_repr_of_samples_is_short() -> None:
     draws = {f"a_very_long_name_of_a_constant_{i}": np.ones(3) for i in range(30)}
     assert len(repr(Samples(draws, {}, "study", 0))) < 500

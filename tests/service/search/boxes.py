@@ -7,5 +7,5 @@ from palpate.service.search.space import Space
 
 
 def contains(space: Space, genes: NDArray[np.float64]) -> bool:
-    """Return whether every gene (n, d) is within its bounds, inclusive."""
+    """Return True if every gene (n, d) is within its bounds, inclusive."""
     return bool(np.all((genes >= np.asarray(space.lower)) & (genes <= np.asarray(space.upper))))

@@ -93,7 +93,7 @@ def test_gsf_beats_random_search_of_the_same_cost(score: Score) -> None:
     assert np.mean(np.array(found) < np.array(random)) >= 0.9
 
 
-def test_the_felt_constants_are_found_and_the_unfelt_less_so() -> None:
+def test_influential_constants_are_found_more_accurately() -> None:
     genes = np.array([best_of(gsf, GeneticSettings(), seed)[1] for seed in SEEDS])
     error = np.median(np.abs(genes - TRUE) / SPACE.span, axis=0)
     assert error[0] < 0.01

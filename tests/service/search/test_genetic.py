@@ -58,7 +58,7 @@ def rough(seed: int) -> Score:
     return score
 
 
-def test_the_thesis_numbers() -> None:
+def test_counts_of_the_thesis_settings() -> None:
     thesis = GeneticSettings()
     assert (thesis.elite, thesis.crossover_children, thesis.mutation_children) == (2, 66, 16)
     assert thesis.parents == 148
@@ -224,7 +224,7 @@ def test_failures_rank_last_and_ties_by_index() -> None:
     assert generation.best == 5
 
 
-def test_one_success_among_failures_is_kept_and_bred() -> None:
+def test_single_success_among_failures_becomes_a_parent() -> None:
     search = GeneticSearch(BREAST, GeneticSettings(population=10, elite=1, stall=None), 4)
     first = proposed(search, [])
     scores = np.full(10, np.inf)
@@ -234,7 +234,7 @@ def test_one_success_among_failures_is_kept_and_bred() -> None:
     assert np.isin(second.genes[1:], first.genes[7]).any()
 
 
-def test_the_step_of_mutation_comes_from_the_whole_history() -> None:
+def test_mutation_step_depends_on_the_whole_history() -> None:
     """Two histories with the same last generation but different pasts give other mutants."""
     chosen = GeneticSettings(population=10, elite=1, crossover_fraction=0.0, stall=None)
     search = GeneticSearch(BREAST, chosen, 4)

@@ -191,7 +191,7 @@ def test_gaussian_deviation_narrows_to_zero() -> None:
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS.values(), ids=MUTATIONS)
-def test_no_parents_make_no_children(mutation: Mutation) -> None:
+def test_mutation_of_no_parents_returns_no_children(mutation: Mutation) -> None:
     nobody = np.empty((0, 3))
     assert mutation(np.random.default_rng(0), nobody, BOX, progress(1.0)).shape == (0, 3)
 

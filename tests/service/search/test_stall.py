@@ -8,7 +8,7 @@ from palpate.storage.errors import InputError
 
 
 def change(rule: Rule, bests: list[float], window: int, tolerance: float) -> bool:
-    """Return whether the rule stops the search."""
+    """Return True if the rule stops the search."""
     stall = Stall(generations=window, tolerance=tolerance, rule=rule)
     return stall.reason(np.array(bests)) is not None
 

@@ -1,4 +1,4 @@
-"""What a study is refused for, or warned of, before its first task."""
+"""Checks of a study before its first task: errors and warnings."""
 
 import shutil
 from collections import namedtuple
@@ -91,11 +91,11 @@ def changed(place: Path, file: str, change: Callable[[Volume], Volume]) -> None:
     export_volume(place / file, change(read_volume(place / file)))
 
 
-def test_two_images_of_one_breast_pass_without_a_word(place: Path, tmp_path: Path) -> None:
+def test_accepts_two_images_of_one_breast_without_warnings(place: Path, tmp_path: Path) -> None:
     assert preflight(imaged(place), tmp_path / "store") == []
 
 
-def test_a_drawn_breast_passes_without_a_word(tmp_path: Path) -> None:
+def test_accepts_a_drawn_breast_without_warnings(tmp_path: Path) -> None:
     assert preflight(drawn(), tmp_path / "store") == []
 
 
@@ -151,15 +151,13 @@ def in_metres(place: Path) -> None:
         (in_metres, "State its spacing_mm in mm"),
     ],
 )
-def test_images_that_cannot_be_meant(
-    place: Path, tmp_path: Path, change: Change, said: str
-) -> None:
+def test_rejects_implausible_images(place: Path, tmp_path: Path, change: Change, said: str) -> None:
     change(place)
     with pytest.raises(InputError, match=said.replace("(", r"\(")):
         preflight(imaged(place), tmp_path / "store")
 
 
-def test_what_is_implausible_runs_if_the_user_insists(place: Path, tmp_path: Path) -> None:
+def test_implausible_study_runs_if_the_user_insists(place: Path, tmp_path: Path) -> None:
     exchanged(place)
     with pytest.raises(InputError, match="continue with --anyway"):
         preflight(imaged(place), tmp_path / "store")
@@ -167,7 +165,7 @@ def test_what_is_implausible_runs_if_the_user_insists(place: Path, tmp_path: Pat
     assert any("look exchanged" in one.text for one in warnings)
 
 
-def test_what_is_impossible_is_refused_in_any_case(place: Path, tmp_path: Path) -> None:
+def test_impossible_study_is_always_refused(place: Path, tmp_path: Path) -> None:
     no_gland(place)
     head, target, tail = IMAGES.partition("target:")
     text = head + target + tail.replace(", 2: glandular", "")
@@ -178,9 +176,7 @@ def test_what_is_impossible_is_refused_in_any_case(place: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("factor", [0.25, 3.0])
-def test_a_body_of_an_impossible_volume_is_refused(
-    place: Path, tmp_path: Path, factor: float
-) -> None:
+def test_rejects_a_body_of_impossible_volume(place: Path, tmp_path: Path, factor: float) -> None:
     for file in ("rest.nrrd", "pressed.nrrd"):
         changed(
             place,
@@ -196,7 +192,7 @@ def test_a_body_of_an_impossible_volume_is_refused(
     assert str(refused.value).count("a breast has 10 to 5000 ml") == 2
 
 
-def test_a_spacing_of_two_metres_is_refused(place: Path, tmp_path: Path) -> None:
+def test_rejects_a_spacing_of_two_metres(place: Path, tmp_path: Path) -> None:
     values = np.zeros((20, 20, 20), np.uint8)
     values[:, 3:17, 3:17] = 1
     values[5:10, 5:15, 5:15] = 2
@@ -208,7 +204,7 @@ def test_a_spacing_of_two_metres_is_refused(place: Path, tmp_path: Path) -> None
         preflight(imaged(place, text), tmp_path / "store")
 
 
-def test_a_missing_image_is_left_to_workers_elsewhere(place: Path, tmp_path: Path) -> None:
+def test_missing_image_is_accepted_for_remote_workers(place: Path, tmp_path: Path) -> None:
     (place / "pressed.nrrd").unlink()
     with pytest.raises(InputError, match=r"pressed\.nrrd"):
         preflight(imaged(place), tmp_path / "store")
@@ -227,7 +223,7 @@ def test_a_missing_image_is_left_to_workers_elsewhere(place: Path, tmp_path: Pat
         ("nodes: 2000", "nodes: 400", "Ask for 850 nodes or more"),
     ],
 )
-def test_a_study_file_that_cannot_be_meant(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_rejects_implausible_study_files(tmp_path: Path, old: str, new: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         preflight(drawn(old, new), tmp_path / "store")
     assert not (tmp_path / "store").exists()
@@ -244,12 +240,12 @@ def test_all_reasons_are_given_at_once(tmp_path: Path) -> None:
     assert "E_glandular_kpa" in str(refused.value)
 
 
-def test_an_interval_beside_the_known_one_is_a_warning(tmp_path: Path) -> None:
+def test_unusual_interval_gives_a_warning(tmp_path: Path) -> None:
     (found,) = preflight(drawn("E_fat_kpa: [5, 20]", "E_fat_kpa: [30, 60]"), tmp_path / "store")
     assert "about 1.5 times the known interval" in found.text
 
 
-def test_a_full_disk_is_seen_before_it_is_full(
+def test_low_disk_space_is_reported_in_advance(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usage = namedtuple("usage", "total used free")
@@ -267,13 +263,13 @@ def test_a_full_disk_is_seen_before_it_is_full(
             assert "has only" in found.text
 
 
-def test_plates_that_do_not_touch_the_body_are_refused(place: Path, tmp_path: Path) -> None:
+def test_rejects_plates_that_do_not_touch_the_body(place: Path, tmp_path: Path) -> None:
     text = IMAGES.replace("force_n: 60, moving: both", "plate_distance_mm: {final: 130}")
     with pytest.raises(InputError, match="they would not touch it"):
         preflight(imaged(place, text), tmp_path / "store")
 
 
-# --- what a distance can tell -------------------------------------------------------
+# --- identifiability at a given plate distance --------------------------------------
 
 DISTANCE = PHANTOM.replace("mesh:", "load: {plate_distance_mm: {final: 65}}, mesh:")
 ALL_FOUR = DISTANCE.replace(
@@ -297,11 +293,11 @@ ALL_FOUR = DISTANCE.replace(
         (ALL_FOUR.replace("E_fat_kpa: [5, 20], ", ""), "absolute"),
     ],
 )
-def test_a_distance_tells_ratios_unless_a_stiffness_is_held(text: str, expected: str) -> None:
+def test_distance_identifies_ratios_unless_a_stiffness_is_held(text: str, expected: str) -> None:
     assert parse_spec(text, "study.yaml", Path()).identifiable == expected
 
 
-def test_only_ratios_is_a_warning_at_run(tmp_path: Path) -> None:
+def test_unidentifiable_scale_gives_a_warning(tmp_path: Path) -> None:
     spec = parse_spec(ALL_FOUR, "study.yaml", Path())
     (found,) = preflight(spec, tmp_path / "store")
     assert "only ratios of the stiffnesses can be found" in found.text
@@ -317,7 +313,7 @@ def test_only_ratios_is_a_warning_at_run(tmp_path: Path) -> None:
         ("strategy: genetic+least-squares, starts: 2", None),
     ],
 )
-def test_settings_that_the_strategy_does_not_use_are_pointed_out(
+def test_warns_of_settings_that_the_strategy_ignores(
     tmp_path: Path, given: str, idle: str | None
 ) -> None:
     spec = drawn("population: 12", f"population: 12, {given}")
@@ -327,7 +323,7 @@ def test_settings_that_the_strategy_does_not_use_are_pointed_out(
     assert idle is None or f"does not use {idle}." in said[0]
 
 
-def test_evaluations_of_least_squares_are_those_of_its_descents(tmp_path: Path) -> None:
+def test_rejects_too_many_least_squares_evaluations(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"search: 600,000,000 evaluations.*Lower starts and fit"):
         preflight(
             drawn("population: 12", "strategy: least-squares, fit_evaluations: 200000000"),

@@ -1,4 +1,4 @@
-"""What a user sees while a study runs."""
+"""Progress output of a running study."""
 
 from io import StringIO
 from pathlib import Path
@@ -14,7 +14,7 @@ from palpate.service.study.observers.progress import (
 from tests.recovery.stand_ins import Inline, run
 
 
-def test_lines_in_a_log_tell_each_generation(tmp_path: Path) -> None:
+def test_log_has_a_line_for_each_generation(tmp_path: Path) -> None:
     text = StringIO()
     progress = progress_observer(Console(file=text, width=200))
     assert isinstance(progress, PlainProgress)
@@ -30,7 +30,7 @@ def test_lines_in_a_log_tell_each_generation(tmp_path: Path) -> None:
     assert lines[-1] == "stopped: all 5 generations are done"
 
 
-def test_a_terminal_gets_a_panel(tmp_path: Path) -> None:
+def test_terminal_shows_a_live_panel(tmp_path: Path) -> None:
     text = StringIO()
     progress = progress_observer(Console(file=text, width=120, force_terminal=True))
     assert isinstance(progress, LiveProgress)
@@ -44,7 +44,7 @@ def test_a_terminal_gets_a_panel(tmp_path: Path) -> None:
     assert "demo" in text.getvalue()
 
 
-def test_an_observer_of_a_resumed_study_hears_the_same_story(tmp_path: Path) -> None:
+def test_resumed_study_replays_the_same_events(tmp_path: Path) -> None:
     first = PlainProgress(Console(file=StringIO()))
     second = PlainProgress(Console(file=StringIO()))
     run(tmp_path / "runs" / "demo", Inline(), observers=[first])
@@ -55,7 +55,7 @@ def test_an_observer_of_a_resumed_study_hears_the_same_story(tmp_path: Path) -> 
     assert second.per_minute == 0
 
 
-def test_durations_are_read_easily() -> None:
+def test_durations_as_text() -> None:
     assert [clock(s) for s in (0, 61, 3600, 90_000, float("inf"))] == [
         "0 s",
         "1 min 1 s",

@@ -1,4 +1,4 @@
-"""What a study file may say, and what a user is told who mistypes."""
+"""The study file: valid content, and messages for typing errors."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def parsed(text: str) -> StudySpec:
     return parse_spec(text, "study.yaml", Path())
 
 
-def test_defaults_are_those_of_the_thesis() -> None:
+def test_defaults_match_the_thesis() -> None:
     settings = parsed(SPEC).search.settings
     assert (settings.population, settings.generations, settings.elite) == (84, 15, 2)
     assert (settings.crossover_children, settings.mutation_children) == (66, 16)
@@ -38,14 +38,14 @@ def test_genes_in_kpa_become_constants_in_mpa() -> None:
     }
 
 
-def test_a_study_written_out_reads_back_the_same() -> None:
+def test_study_round_trip() -> None:
     spec = parsed(SPEC + "seed: 3\nkeep: elites\n")
     assert StudySpec.model_validate(spec.as_dict()) == spec
     without_stall = parsed(SPEC.replace("eta_fat_kpa: [50, 200]}", "E_glandular_kpa: [5, 80]}"))
     assert without_stall.digest != spec.digest
 
 
-def test_stall_can_be_switched_off_and_stays_off() -> None:
+def test_disabled_stall_survives_a_round_trip() -> None:
     spec = parsed(SPEC.replace("search: {", "search: {stall: null, "))
     assert spec.search.settings.stall is None
     assert StudySpec.model_validate(spec.as_dict()).search.stall is None
@@ -78,14 +78,14 @@ def test_an_exponent_without_a_point_is_a_number() -> None:
         (SPEC, "- a\n- b\n", "found list"),
     ],
 )
-def test_a_slip_is_named_with_what_to_type(old: str, new: str, said: str) -> None:
+def test_typing_errors_are_named_with_a_correction(old: str, new: str, said: str) -> None:
     assert old in SPEC
     with pytest.raises(InputError, match=said) as caught:
         parsed(SPEC.replace(old, new))
     assert "study.yaml" in str(caught.value)
 
 
-def test_a_missing_file_says_how_to_write_one(tmp_path: Path) -> None:
+def test_missing_file_gives_the_command_that_writes_one(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="palpate new breast mine"):
         read_spec(tmp_path / "mine.yaml")
     with pytest.raises(InputError, match="is a folder"):
@@ -104,7 +104,7 @@ def test_paths_are_relative_to_the_study_file(tmp_path: Path) -> None:
     assert spec.target.volume == "imported-name"
 
 
-def test_differences_name_keys_that_came_changed_and_went() -> None:
+def test_differences_list_added_changed_and_removed_keys() -> None:
     before = {"a": {"b": 1, "c": 2}, "d": [1, 2]}
     now = {"a": {"b": 1, "c": 3}, "e": None}
     assert differences(before, now) == [
@@ -114,7 +114,7 @@ def test_differences_name_keys_that_came_changed_and_went() -> None:
     ]
 
 
-def test_the_template_of_a_virtual_breast_has_the_values_that_it_calls_default() -> None:
+def test_template_values_match_the_stated_defaults() -> None:
     data = yaml.safe_load(template("breast", "mine"))
     data["target"]["constants"] = {"E_fat_kpa": 10}
     spec = StudySpec.model_validate(data)
@@ -126,7 +126,7 @@ def test_the_template_of_a_virtual_breast_has_the_values_that_it_calls_default()
     assert spec.case.model == parsed(SPEC).case.model
 
 
-def test_bounds_are_checked_at_the_door() -> None:
+def test_bounds_are_checked_on_input() -> None:
     data = parsed(SPEC).as_dict()
     good = StudySpec.model_validate(data | {"search": {"parameters": {"E_fat_kpa": [5, 20]}}})
     assert good.search.parameters == {"E_fat_kpa": (5, 20)}

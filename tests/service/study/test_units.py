@@ -1,4 +1,4 @@
-"""Every number that a command prints has its unit, and only what was stated is printed."""
+"""Units of printed numbers; only stated parameters are printed."""
 
 import json
 import re
@@ -22,7 +22,7 @@ Printed = Callable[..., str]
 def printed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Printed:
-    """Run a command beside a study file and return what it prints."""
+    """Return a function that runs a command in the folder of a study file and captures output."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "study.yaml").write_text(SPEC)
 
@@ -35,7 +35,7 @@ def printed(
 
 @pytest.fixture
 def simulated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a simulation take no time: constants as the case completes them, an outcome."""
+    """Replace the simulation by a stub that returns completed constants and an outcome."""
 
     def simulate_once(case, constants, store):  # type: ignore[no-untyped-def]
         return {
@@ -53,7 +53,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("simulated")
-def test_a_simulation_prints_what_was_stated_with_units(printed: Printed) -> None:
+def test_simulate_prints_stated_values_with_units(printed: Printed) -> None:
     said = printed("simulate", "study.yaml", "--set", "E_fat_kpa=12", "--set", "tilt_depth_deg=1")
     assert re.search(r"E_fat_kpa +12 kPa$", said, re.MULTILINE)
     assert re.search(r"tilt_depth_deg +1 deg$", said, re.MULTILINE)
@@ -65,7 +65,7 @@ def test_a_simulation_prints_what_was_stated_with_units(printed: Printed) -> Non
 
 
 @pytest.mark.usefixtures("simulated")
-def test_all_shows_the_neutral_ones_each_in_its_own_unit(printed: Printed) -> None:
+def test_option_all_shows_neutral_parameters_with_units(printed: Printed) -> None:
     said = printed("simulate", "study.yaml", "--all")
     assert re.search(r"E_glandular_kpa +40 kPa$", said, re.MULTILINE)
     assert re.search(r"nu +0\.49$", said, re.MULTILINE)
@@ -73,7 +73,7 @@ def test_all_shows_the_neutral_ones_each_in_its_own_unit(printed: Printed) -> No
 
 
 @pytest.mark.usefixtures("simulated")
-def test_json_constants_have_a_value_and_a_unit(printed: Printed) -> None:
+def test_json_constants_have_value_and_unit(printed: Printed) -> None:
     said = json.loads(printed("simulate", "study.yaml", "--set", "E_fat_kpa=12", "--json"))
     assert said["constants"] == {"E_fat_kpa": {"value": 12.0, "unit": "kPa"}}
     said = json.loads(printed("simulate", "study.yaml", "--all", "--json"))
@@ -81,7 +81,9 @@ def test_json_constants_have_a_value_and_a_unit(printed: Printed) -> None:
     assert len(said["constants"]) == len(BREAST_MODEL)
 
 
-def test_show_gives_units_of_what_is_searched_and_held(tmp_path: Path, printed: Printed) -> None:
+def test_show_prints_units_of_searched_and_held_parameters(
+    tmp_path: Path, printed: Printed
+) -> None:
     held = SPEC.replace("mesh: {nodes: 2000}", "mesh: {nodes: 2000}, constants: {nu: 0.48}")
     folder = tmp_path / "runs" / "demo"
     run(folder, Inline(), small_spec(held))
@@ -100,13 +102,13 @@ def test_show_gives_units_of_what_is_searched_and_held(tmp_path: Path, printed: 
     assert best["genes"]["E_fat_kpa"]["unit"] == "kPa"
 
 
-def test_parameters_have_units_beside_their_numbers(printed: Printed) -> None:
+def test_parameters_command_prints_units(printed: Printed) -> None:
     said = printed("parameters")
     assert re.search(r"E_fat_kpa +5 to 20 kPa +10 kPa", said)
     assert re.search(r"tilt_depth_deg +-5 to 5 deg +0 deg", said)
 
 
-def test_muscle_that_follows_fat_is_neutral() -> None:
+def test_muscle_stiffness_equal_to_fat_is_neutral() -> None:
     constants = BREAST_MODEL.complete({"E_fat": 0.012})
     assert set(not_neutral(BREAST_MODEL, constants)) == {"E_fat"}
     apart = BREAST_MODEL.complete({"E_fat": 0.012, "E_muscle": 0.01})

@@ -1,4 +1,4 @@
-"""The cantilever bar: its mechanics against beam theory, its ranking against the thesis."""
+"""The cantilever bar: mechanics against beam theory, ranking against the thesis."""
 
 import numpy as np
 import pytest
@@ -26,21 +26,21 @@ def experiment() -> BarExperiment:
     return bar_experiment("reduced")
 
 
-def test_a_small_force_bends_it_as_timoshenko_says() -> None:
-    # The clamp holds the root from contracting, which a beam does not know; with little
-    # contraction they agree (2 % at this size of mesh, 0.6 % at 19,000 nodes).
+def test_small_deflection_matches_timoshenko() -> None:
+    # The clamp prevents contraction of the root, unlike in beam theory; with little contraction
+    # they agree (2 % at this mesh size, 0.6 % at 19,000 nodes).
     gel = Constants(young_mpa=GEL.young_mpa, poisson=0.1)
     bar = make_bar("reduced")
     force = GOLD_FORCE_N / 100
     displacement, outcome = bend(bar, (-force, 0.0, 0.0), gel)
     assert outcome.converged
     exact = force * LENGTH_MM**3 / (3 * gel.young_mpa * SIDE_MM**4 / 12)
-    exact += force * LENGTH_MM / (5 / 6 * gel.mu_mpa * SIDE_MM**2)  # 5/6: of a rectangle
+    exact += force * LENGTH_MM / (5 / 6 * gel.mu_mpa * SIDE_MM**2)  # 5/6 for a rectangle
     end = bar.mesh.nodes[:, 2] > LENGTH_MM - 1e-6
     assert -displacement[end, 0].mean() == pytest.approx(exact, rel=0.025)
 
 
-def test_the_forces_are_those_of_the_thesis() -> None:
+def test_forces_match_the_thesis() -> None:
     size = {n: np.linalg.norm(np.asarray(force_of(n)) - force_of(0)) for n in DEFORMATIONS}
     wanted = {
         1: 0.1, 2: 0.2, 3: np.hypot(0.2, 1.2), 4: np.hypot(0.2, 1.2), 5: 2.2,
@@ -65,7 +65,7 @@ def test_misfit_grows_from_group_to_group(experiment: BarExperiment) -> None:
         assert monotone[name], name
 
 
-def test_volume_difference_and_signed_mean_are_useless(experiment: BarExperiment) -> None:
+def test_volume_difference_and_signed_mean_are_not_monotone(experiment: BarExperiment) -> None:
     monotone = select(experiment).monotone
     assert not monotone["dV"]
     assert not monotone["SM"]
@@ -86,6 +86,6 @@ def test_a_coefficient_out_of_order_is_not_monotone(number: int, value: float) -
     assert not monotone_in_groups(misfit | {number: value})
 
 
-def test_an_unknown_scale_is_refused() -> None:
+def test_rejects_an_unknown_scale() -> None:
     with pytest.raises(InputError, match="'reduced' or 'full'"):
         make_bar("half")  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The rotated cylinder against closed forms and what the thesis reads off its curves."""
+"""The rotated cylinder, against closed forms and the curves of the thesis."""
 
 import math
 from itertools import pairwise
@@ -18,10 +18,10 @@ from palpate.workers.thesis.cylinder import (
 
 
 def crossed_overlap(angle_deg: float) -> tuple[float, float]:
-    r"""Jaccard and Dice coefficient of two crossed smooth cylinders.
+    r"""Return the Jaccard and Dice coefficients of two crossed smooth cylinders.
 
-    Where neither end takes part, :math:`r |\cos| + r < (L / 2) |\sin|`, the common body
-    is Steinmetz' solid of volume :math:`16 r^3 / 3 \sin`.
+    If neither end takes part, :math:`r |\cos| + r < (L / 2) |\sin|`, the intersection is a
+    Steinmetz solid of volume :math:`16 r^3 / 3 \sin`.
 
     Raises
     ------
@@ -71,11 +71,11 @@ def test_dice_decays_less(rows: dict[float, CylinderRow]) -> None:
     for angle, row in rows.items():
         if angle not in (0, 180):
             assert 1 - row.dc < 1 - row.jc
-            # DC = 2 JC / (1 + JC), here against counts that know nothing of each other.
+            # DC = 2 JC / (1 + JC), here from independent counts.
             assert row.dc == pytest.approx(2 * row.jc / (1 + row.jc))
 
 
-def test_half_a_turn_is_the_identity_and_the_curves_are_symmetric(
+def test_half_turn_is_the_identity_and_curves_are_symmetric(
     rows: dict[float, CylinderRow],
 ) -> None:
     for angle in (0, 180):
@@ -92,7 +92,7 @@ def test_gsf_falls_steeply_near_identity(rows: dict[float, CylinderRow]) -> None
     assert per_degree[0] > 10 * per_degree[1]
 
 
-def test_what_has_no_closed_form_is_refused() -> None:
+def test_rejects_angles_without_a_closed_form() -> None:
     with pytest.raises(InputError, match="up to their ends"):
         crossed_overlap(5.0)
     with pytest.raises(InputError, match="size > 0"):

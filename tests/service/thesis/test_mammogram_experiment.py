@@ -25,7 +25,7 @@ def pressed() -> tuple[Compressed, Compressed]:
     return first, second
 
 
-def test_one_body_differs_by_noise_alone(pressed: tuple[Compressed, Compressed]) -> None:
+def test_identical_bodies_differ_only_by_noise(pressed: tuple[Compressed, Compressed]) -> None:
     pair = mammogram_pair(pressed[0], pressed[0], "CC", 1.0, seed=3)
     assert pair.attenuation_rms == pytest.approx(pair.quantum_rms, rel=0.1)
     assert abs(float(np.median(pair.difference)) - EQUAL) <= 1
@@ -38,7 +38,7 @@ def test_two_meshes_differ_beyond_noise(pressed: tuple[Compressed, Compressed]) 
     assert np.ptp(pair.difference.astype(int)) > 50
 
 
-def test_a_body_that_diverged_has_no_mammogram(pressed: tuple[Compressed, Compressed]) -> None:
+def test_rejects_a_diverged_body(pressed: tuple[Compressed, Compressed]) -> None:
     outcome = replace(pressed[0].outcome, converged=False, reason="the plate lost contact")
     with pytest.raises(InputError, match="the plate lost contact"):
         mammogram_pair(pressed[0], Compressed(None, None, outcome, 0.0), "CC", 1.0)

@@ -1,4 +1,4 @@
-"""Phantoms, meshes and compressions of thesis section 4.4, at a small size."""
+"""Phantoms, meshes and compressions of thesis section 4.4, at small size."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def test_two_materials_keep_only_fat_and_gland(phantom: Phantom) -> None:
 
 
 @pytest.mark.slow
-def test_meshes_are_good_and_homogeneous_ones_more_regular(
+def test_homogeneous_meshes_are_more_regular(
     rows: tuple[QualityRow, QualityRow],
 ) -> None:
     adaptive, homogeneous = rows
@@ -67,7 +67,7 @@ def test_meshes_are_good_and_homogeneous_ones_more_regular(
         assert row.worst_aspect <= 8.86
         assert all(0 < row.mean[name] <= 1 for name in ("M1", "M2", "M3", "M4"))
         assert abs(row.agreement.body_volume) < 0.002
-    # Thesis section 4.4.3: more regular, but it does not follow the tissue.
+    # Thesis section 4.4.3: more regular, but not aligned with the tissue.
     assert homogeneous.mean["aspect"] < adaptive.mean["aspect"]
     assert abs(adaptive.agreement.tissue_volume) < 0.01
     assert abs(adaptive.agreement.tissue_volume) < abs(homogeneous.agreement.tissue_volume)
@@ -75,7 +75,7 @@ def test_meshes_are_good_and_homogeneous_ones_more_regular(
     assert abs(adaptive.agreement.labels - homogeneous.agreement.labels) < 0.01
 
 
-def test_the_table_averages_the_averages_and_takes_the_worst(
+def test_table_has_mean_averages_and_the_worst_aspect(
     rows: tuple[QualityRow, QualityRow],
 ) -> None:
     adaptive, homogeneous = rows
@@ -86,7 +86,7 @@ def test_the_table_averages_the_averages_and_takes_the_worst(
     assert (second.kind, second.worst) == ("homogeneous", homogeneous.worst_aspect)
 
 
-def test_constants_are_those_of_table_41() -> None:
+def test_constants_match_table_41() -> None:
     neo, mooney = constants_of("neo-Hookean"), constants_of("Mooney-Rivlin")
     for tissue, mu in ((Tissue.FAT, 12750e-6), (Tissue.GLANDULAR, 36750e-6)):
         assert neo[tissue].mu_mpa == pytest.approx(mu)
@@ -99,7 +99,7 @@ def test_constants_are_those_of_table_41() -> None:
         constants_of("Ogden")  # type: ignore[arg-type]
 
 
-def test_plates_take_away_what_the_thesis_says(phantom: Phantom) -> None:
+def test_plate_distances_match_the_thesis(phantom: Phantom) -> None:
     for view, width, left in (("CC", 37.5, 0.5), ("MLO", None, 0.75)):
         problem = compression_problem(phantom.labels, view, "neo-Hookean")  # type: ignore[arg-type]
         load = problem.load
@@ -112,7 +112,7 @@ def test_plates_take_away_what_the_thesis_says(phantom: Phantom) -> None:
         compression_problem(phantom.labels, "LM", "neo-Hookean")  # type: ignore[arg-type]
 
 
-def test_a_compressed_phantom_is_half_as_thick_and_keeps_its_gland(
+def test_compression_halves_the_thickness_and_preserves_the_gland(
     phantom: Phantom, pressed: Compressed
 ) -> None:
     assert pressed.outcome.converged
@@ -125,7 +125,7 @@ def test_a_compressed_phantom_is_half_as_thick_and_keeps_its_gland(
     assert pressed.seconds_per_1000 > 0
 
 
-def test_a_phantom_against_itself_and_against_itself_moved(pressed: Compressed) -> None:
+def test_compares_a_phantom_with_itself_and_with_a_shifted_copy(pressed: Compressed) -> None:
     same = compared(4, "CC", "neo-Hookean", pressed, pressed)
     assert (same.centroid_mm, same.volume_mm3, same.jc, same.mhd_mm) == (0.0, 0.0, 1.0, 0.0)
     assert (same.whole_jc, same.lost) == (1.0, 0)
@@ -140,7 +140,7 @@ def test_a_phantom_against_itself_and_against_itself_moved(pressed: Compressed) 
     assert 0 < row.mhd_mm <= 0.75
 
 
-def test_what_is_in_one_only_is_lost_and_what_diverged_has_no_numbers(pressed: Compressed) -> None:
+def test_counts_lost_compartments_and_skips_diverged_bodies(pressed: Compressed) -> None:
     ids = pressed.compartments
     assert ids is not None
     first = int(ids.values[ids.values > 0].min())

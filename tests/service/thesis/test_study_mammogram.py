@@ -1,4 +1,4 @@
-"""Mammograms of a study's body: pressed again for each view, with the constants found."""
+"""Mammograms of a study's body, pressed for each view with the estimated constants."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from palpate.workers.thesis.identification import TARGETS, case_of
 
 @pytest.fixture(scope="module")
 def case() -> dict[str, Any]:
-    """A small breast of coarse elements."""
+    """Return the case of a small breast with coarse elements."""
     told = case_of("X1", 3, "sketch")
     told["reference"]["phantom"]["spacing_mm"] = 2.0
     told["mesh"] = {"nodes": 1100}
@@ -38,7 +38,7 @@ def test_equal_constants_give_equal_mammograms(
     assert taken.fitted.log_attenuation.max() > 0.5
 
 
-def test_other_constants_and_views_give_others(
+def test_mammograms_depend_on_constants_and_view(
     case: dict[str, Any], found: dict[str, float], tmp_path: Path
 ) -> None:
     softer = found | {"E_fat": 0.5 * found["E_fat"]}
@@ -54,6 +54,6 @@ def test_other_constants_and_views_give_others(
     assert across @ oblique == pytest.approx(np.cos(np.radians(45)) * across @ across)
 
 
-def test_an_eye_has_no_mammogram(tmp_path: Path) -> None:
+def test_rejects_a_cornea(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="of the cornea"):
         take_view({"organ": "cornea", "load": {}}, {}, None, "CC", str(tmp_path))

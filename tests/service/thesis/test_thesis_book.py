@@ -1,4 +1,4 @@
-"""The book of results made by hand: well formed, self-contained, with the thesis beside ours."""
+"""The book of handmade results: well-formed, self-contained, thesis and Palpate compared."""
 
 import json
 import math
@@ -26,7 +26,7 @@ from tests.service.thesis.thesis_at_hand import search_result, whole
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A store with the pictures of the phantom that is shown, and nothing else."""
+    """A store with only the pictures of the displayed phantom."""
     folder = str(tmp_path_factory.mktemp("book") / "store")
     grey = np.arange(600, dtype=np.uint8).reshape(30, 20)
     pictures = dict.fromkeys(("adaptive", "homogeneous", "difference"), grey)
@@ -42,7 +42,7 @@ def page(store: str) -> Page:
 
 
 @pytest.mark.slow
-def test_it_needs_no_other_file(page: Page, store: str) -> None:
+def test_page_is_self_contained(page: Page, store: str) -> None:
     assert all(a.startswith(("data:", "#")) for a in page.addresses)
     assert {a[1:] for a in page.addresses if a.startswith("#")} <= set(page.ids)
     assert not {"script", "link", "iframe"} & set(page.seen)
@@ -51,7 +51,7 @@ def test_it_needs_no_other_file(page: Page, store: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_chapter_for_each_experiment(page: Page, store: str) -> None:
+def test_page_has_a_chapter_for_each_experiment(page: Page, store: str) -> None:
     chapters = ["coefficients", "mesh-quality", "mammogram", "search", "sensitivity", "numbers"]
     assert [i for i in page.ids if i in chapters] == chapters
     alone = Page(render(replace(whole(), meshes=None, mammograms=None, search=None,
@@ -61,7 +61,7 @@ def test_a_chapter_for_each_experiment(page: Page, store: str) -> None:
     assert "Table 4.4" not in alone.text
 
 
-def test_printed_numbers_stand_beside_ours(page: Page) -> None:
+def test_tables_compare_printed_numbers_with_ours(page: Page) -> None:
     adaptive = [row for row in page.cells if row[0] == "adaptive" and row[1] == "1.70"]
     assert [row[1:5] for row in adaptive] == [["1.70", "1.47", "8.86", "5.96"]]
     (sixth,) = [row for row in page.cells if row[0] == "6, thesis"]
@@ -71,8 +71,8 @@ def test_printed_numbers_stand_beside_ours(page: Page) -> None:
     assert fat[-1] == "5 of 5"
 
 
-def test_the_printed_statistics_are_those_of_the_printed_rows() -> None:
-    # Of Table 4.6 they are not, which is what its note says.
+def test_printed_statistics_match_the_printed_rows() -> None:
+    # Those of Table 4.6 do not match, as its note explains.
     for target, table in printed.SEARCHES.items():
         fit = []
         for n, mean in enumerate(table.mean):
@@ -82,7 +82,7 @@ def test_the_printed_statistics_are_those_of_the_printed_rows() -> None:
         assert bool(table.note) == (target == "X3")
 
 
-def test_what_was_not_run_is_not_judged(store: str) -> None:
+def test_missing_experiments_are_marked_not_run(store: str) -> None:
     empty = ThesisResults("reduced", "a machine", {})
     words = {v.word for v in verdicts(empty)}
     assert words == {"not run"}
@@ -102,14 +102,14 @@ def test_what_was_not_run_is_not_judged(store: str) -> None:
         (None, "not run", "not run"),
     ],
 )
-def test_words_follow_the_numbers(found: float | None, same: str, less: str) -> None:
+def test_verdicts_follow_the_numbers(found: float | None, same: str, less: str) -> None:
     assert equal("", "", 1.0, found, "", "why").word == same
     assert at_most("", "", 1.0, found, "", "why").word == less
     for verdict in (equal("", "", 1.0, found, "", "why"), at_most("", "", 1.0, found, "", "why")):
         assert bool(verdict.reason) == (verdict.word in ("approached", "not reproduced"))
 
 
-def test_errors_of_eta_that_grow_are_said_with_a_reason() -> None:
+def test_larger_errors_of_eta_have_a_reason() -> None:
     searches = [
         replace(s, constants=tuple(replace(c, error=0.9) for c in s.constants))
         for s in search_result().searches
@@ -121,7 +121,7 @@ def test_errors_of_eta_that_grow_are_said_with_a_reason() -> None:
     assert "flat valley" in eta.reason
 
 
-def test_the_record_survives_json() -> None:
+def test_json_round_trip() -> None:
     text = json.dumps(to_plain(to_json(whole())), allow_nan=False)
     again = from_json(ThesisResults, json.loads(text))
     assert again.search == whole().search
@@ -129,8 +129,8 @@ def test_the_record_survives_json() -> None:
     assert again.meshes == whole().meshes
 
 
-def test_a_slice_of_a_mesh_is_drawn_to_scale() -> None:
-    # Two triangles of a square of 2 mm and a square of 1 mm beside it; a speck is left out.
+def test_mesh_slice_is_drawn_to_scale() -> None:
+    # Two triangles of a 2 mm square and a 1 mm square next to it; a speck is omitted.
     polygons = np.array(
         [
             [[0, 0], [2, 0], [2, 2], [2, 2]],

@@ -1,4 +1,4 @@
-"""The experiments as a whole: only what is missing is run, and how long that takes."""
+"""Runs of the experiments: only missing parts are computed, and their time is estimated."""
 
 import signal
 import subprocess
@@ -28,7 +28,7 @@ from palpate.workers.thesis.identification import BOUNDS, TARGETS, runs_at
 
 @dataclass(frozen=True)
 class Stub(Request):
-    """A part that costs nothing."""
+    """A part without cost."""
 
     MODULE: ClassVar[str] = "palpate.workers.tasks.thesis.parts"
 
@@ -36,13 +36,13 @@ class Stub(Request):
 
 
 def work(request: Stub) -> Spent:
-    """Leave what it has cost in the store."""
+    """Store the part's cost."""
     request.part.save(Timed(Spent(9.0, 3.0, "here")), {})
     return request.spent
 
 
 class InProcess:
-    """A dispatcher that is told to stop after some tasks."""
+    """A dispatcher that stops after some tasks."""
 
     threads = 1
 
@@ -69,7 +69,7 @@ def request_of_stubs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ThesisR
     return ThesisRequest(("coefficients",), "sketch", Path(store), tmp_path, GENETIC)
 
 
-def test_what_is_finished_is_not_run_again(request_of_stubs: ThesisRequest) -> None:
+def test_finished_parts_are_not_run_again(request_of_stubs: ThesisRequest) -> None:
     steps: list[Step] = []
     first, second, third = InProcess(stop_after=2), InProcess(), InProcess()
     with pytest.raises(Interrupted):
@@ -81,7 +81,7 @@ def test_what_is_finished_is_not_run_again(request_of_stubs: ThesisRequest) -> N
     assert all(step.of == 5 for step in steps)
 
 
-def test_the_time_that_is_left_follows_what_parts_have_cost(
+def test_estimate_follows_the_cost_of_finished_parts(
     request_of_stubs: ThesisRequest,
 ) -> None:
     before = estimate(request_of_stubs, workers=2)
@@ -97,7 +97,7 @@ def test_the_time_that_is_left_follows_what_parts_have_cost(
     assert "nothing to compute" in estimate(request_of_stubs, workers=2).sentence
 
 
-def test_a_search_that_nobody_has_timed_costs_as_much_as_its_simulations(tmp_path: Path) -> None:
+def test_untimed_search_is_estimated_from_its_simulations(tmp_path: Path) -> None:
     request = ThesisRequest(("search",), "reduced", tmp_path / "store", tmp_path, "cma")
     shipped = shipped_seconds("reduced")
     assert shipped is not None
@@ -108,7 +108,7 @@ def test_a_search_that_nobody_has_timed_costs_as_much_as_its_simulations(tmp_pat
     assert found.cpu_s == pytest.approx(sum(each))
 
 
-def test_equal_parts_of_two_experiments_are_one(tmp_path: Path) -> None:
+def test_experiments_share_equal_parts(tmp_path: Path) -> None:
     store = str(tmp_path)
     pressed = {p.part.name for p in compressions(store, "reduced")}
     assert len(pressed) == 10 * 2 * 2 * 2
@@ -119,7 +119,7 @@ def test_equal_parts_of_two_experiments_are_one(tmp_path: Path) -> None:
         assert len(labels) == len(set(labels))
 
 
-def test_the_searches_are_those_of_the_thesis(tmp_path: Path) -> None:
+def test_searches_match_the_thesis(tmp_path: Path) -> None:
     runs = search_runs(tmp_path, "full", GENETIC)
     assert [(r.target, r.phantom) for r in runs] == runs_at("full")
     assert len(runs) == 15
@@ -134,7 +134,7 @@ def test_the_searches_are_those_of_the_thesis(tmp_path: Path) -> None:
     assert len({run.folder for run in runs}) == 15
 
 
-def test_unknown_names_are_refused_in_one_message(capsys: pytest.CaptureFixture[str]) -> None:
+def test_rejects_unknown_experiments(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["thesis", "tables"]) == 2
     assert "coefficients, mesh-quality" in capsys.readouterr().err
     assert main(["thesis", "all", "--full", "--sketch"]) == 2
@@ -142,7 +142,7 @@ def test_unknown_names_are_refused_in_one_message(capsys: pytest.CaptureFixture[
         study_of_run("X1", 1, "sketch", "simplex")
 
 
-def test_a_dry_run_computes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dry_run_computes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--store", str(tmp_path / "store"), "--out", str(tmp_path / "out")]
     assert main(["thesis", "sensitivity", "--sketch", "--dry-run", *arguments]) == 0
     assert "parts are missing" in capsys.readouterr().err
@@ -150,7 +150,7 @@ def test_a_dry_run_computes_nothing(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 @pytest.mark.slow
-def test_a_killed_experiment_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_killed_experiment_continues_where_it_stopped(tmp_path: Path) -> None:
     store = tmp_path / "store"
     command = [
         sys.executable, "-m", "palpate", "thesis", "coefficients", "--sketch", "--workers", "1",

@@ -1,4 +1,4 @@
-"""Parts of the experiments as tasks, at the size of a sketch, in one process."""
+"""Parts of the experiments as tasks, at sketch scale, in one process."""
 
 from pathlib import Path
 
@@ -34,18 +34,18 @@ from tests.service.thesis.thesis_at_hand import bar_experiment
 
 
 @pytest.mark.slow
-def test_bars_bent_one_by_one_are_the_experiment(tmp_path: Path) -> None:
+def test_separate_bars_give_the_whole_experiment(tmp_path: Path) -> None:
     store = str(tmp_path / "store")
     for number in (0, *DEFORMATIONS):
         bend_bar(Bend(store, "sketch", number))
     request = Compare(store, "sketch")
     spent = compare_bars(request)
     assert request.part.record(ComparedBars).experiment == bar_experiment("sketch")
-    assert compare_bars(request) == spent  # it is not made again
+    assert compare_bars(request) == spent  # not computed again
     assert request.part.record(Timed).spent == spent
 
 
-def test_the_cylinder_comes_back_with_its_infinities(tmp_path: Path) -> None:
+def test_cylinder_record_keeps_infinite_scores(tmp_path: Path) -> None:
     request = Turn(str(tmp_path / "store"), "sketch")
     turn_cylinder(request)
     rows = {row.angle_deg: row for row in request.part.record(TurnedCylinder).rows}
@@ -55,7 +55,7 @@ def test_the_cylinder_comes_back_with_its_infinities(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def store(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """One phantom on both meshes, pressed."""
+    """A store with one phantom, pressed on both meshes."""
     folder = str(tmp_path_factory.mktemp("thesis") / "store")
     for mesh in ("adaptive", "homogeneous"):
         press_phantom(Press(folder, "sketch", 3, mesh, "neo-Hookean", "CC"))
@@ -63,7 +63,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 @pytest.mark.slow
-def test_a_mesh_is_measured_with_its_histograms(store: str) -> None:
+def test_mesh_measurement_includes_histograms(store: str) -> None:
     request = Measure(store, "sketch", 3, "homogeneous")
     measure_mesh(request)
     row = request.part.record(MeasuredMesh).row
@@ -76,7 +76,7 @@ def test_a_mesh_is_measured_with_its_histograms(store: str) -> None:
     assert 0 < glandular.mean() < 1
 
 
-def test_pressed_phantoms_are_compared_compartment_by_compartment(store: str) -> None:
+def test_compares_pressed_phantoms_by_compartment(store: str) -> None:
     request = ComparePressed(store, "sketch", 3, "neo-Hookean", "CC")
     compare_pressed(request)
     row = request.part.record(ComparedMeshes).row
@@ -87,7 +87,7 @@ def test_pressed_phantoms_are_compared_compartment_by_compartment(store: str) ->
     assert row.centroid_mm < 3
 
 
-def test_mammograms_are_pictures_and_files(store: str) -> None:
+def test_mammograms_have_pictures_and_dicom_files(store: str) -> None:
     request = Expose(store, "sketch", 3, "CC")
     take_mammograms(request)
     record, arrays = request.part.load(ExposedPhantom)
@@ -97,7 +97,7 @@ def test_mammograms_are_pictures_and_files(store: str) -> None:
     assert bytes(arrays["adaptive_dicom"][128:132]) == b"DICM"
 
 
-def test_another_scale_is_another_part(store: str) -> None:
+def test_parts_depend_on_the_scale(store: str) -> None:
     names = {Bend(store, scale, 1).part.name for scale in ("sketch", "reduced", "full")}
     assert len(names) == 3
     assert Bend(store, "sketch", 1).part.name != Bend(store, "sketch", 2).part.name

@@ -1,4 +1,4 @@
-"""Results of all experiments, made by hand: nothing is simulated."""
+"""Handmade results of all experiments, without simulations."""
 
 import math
 
@@ -36,7 +36,7 @@ from palpate.workers.thesis.selection import select
 
 
 def bar_experiment(scale: Scale) -> BarExperiment:
-    """The eight wrong deformations of the bar, compared with the gold one."""
+    """Return the eight wrong deformations of the bar, compared with the gold one."""
     bar = make_bar(scale)
     bent = {number: bend(bar, force_of(number)) for number in (0, *DEFORMATIONS)}
     return compared_bars(scale, bar, bent)
@@ -46,7 +46,7 @@ OUTCOME = Outcome(True, "", (3,), (9,), 1e-9, 2.0, 1.0, 1.0, 0.0, 0.9, 1.0, 0.0,
 
 
 def coefficients_of(number: int) -> Coefficients:
-    """Worse with the number of the deformation, in the groups of the thesis."""
+    """Return coefficients that worsen with the deformation's number, in the thesis' groups."""
     group = {1: 1, 2: 1, 3: 2, 4: 2, 5: 3, 6: 3, 7: 3, 8: 4}[number] + number / 100
     jc = 1 - group / 5
     return Coefficients(
@@ -134,7 +134,7 @@ def sensitivity_result() -> tuple[Varied, ...]:
 
 
 def whole() -> ThesisResults:
-    """All experiments."""
+    """Return results of all experiments."""
     cost = Cost(600.0, 60.0, 12, "a machine, 2 cores")
     return ThesisResults(
         "reduced", "a machine, 2 cores", dict.fromkeys(EXPERIMENTS, cost),

@@ -1,4 +1,4 @@
-"""List the effects that are suspected when a simulated cornea differs from its image."""
+"""Effects that may explain differences between a simulated cornea and its image."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,7 +21,7 @@ from palpate.workers.organs.cornea.solver.thickness import thickened
 from palpate.workers.units import DEGREE, MM, MM_PER_KPA, MMHG, NUMBER
 
 THESIS = "M. A. Lago, PhD thesis, 2014, chapter 5"
-# Points at which a jet that is not uniform is tabulated, over its radius.
+# Points at which a non-uniform jet is tabulated, relative to its radius.
 PROFILE_PLACES = np.linspace(0.0, 1.0, 41)
 
 Change = Callable[[Candidate, Values], Candidate]
@@ -50,7 +50,7 @@ def _effect(
     reference: str = THESIS,
     searched_as: tuple[str, ...] = (),
 ) -> Effect:
-    """Return an effect whose steps are a part of what is plausible."""
+    """Return an effect whose difference steps are a fraction of its prior range."""
     steps = tuple(step * sd for sd in prior_sd)
     return Effect(
         name,
@@ -67,10 +67,10 @@ def _effect(
 
 
 def peaked(load: Any, by: float) -> JetProfile:
-    """Return a uniform jet that is stronger in the middle and weaker outside, its force kept.
+    """Return a uniform jet made stronger in the middle and weaker outside at the same force.
 
-    ``1 + by (1 - 2 s^2)`` at the part s of its radius: the mean over a line through the middle
-    changes by a third of `by`, that over its area does not.
+    The pressure is ``1 + by (1 - 2 s^2)`` at the fraction s of its radius: the mean over a line
+    through the middle changes by a third of `by`, the mean over its area does not change.
     """
     radius = load.jet_diameter_mm / 2
     inside = np.maximum(1.0 + by * (1.0 - 2.0 * PROFILE_PLACES**2), 0.0)
@@ -119,7 +119,7 @@ def _share(option: str, value: str, name: str) -> Any:
 def _posterior(
     points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
 ) -> FloatArray:
-    """Return 1 on the inner surface, and what grows towards the middle there, (k, 2)."""
+    """Return 1 on the inner surface, and a term that grows towards its middle, (k, 2)."""
     inner = (np.asarray(tissues) == Tissue.GLANDULAR).astype(np.float64)
     x = frame.normalised(points)[:, 0]
     return np.stack([inner, inner * (1.0 - x**2)], axis=1)
@@ -138,8 +138,8 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "jet_off_centre",
         "loading",
-        "The jet does not hit the cornea where the model has it.",
-        (two_sided("jet_offset", MM, 0.6, "place of the jet, from where it is said to be"),),
+        "The jet hits the cornea at another position than in the model.",
+        (two_sided("jet_offset", MM, 0.6, "position of the jet, relative to the stated one"),),
         (0.2,),
         _of_load(lambda load, v: replace(load, jet_centre_mm=load.jet_centre_mm + v["jet_offset"])),
         searched_as=("jet_centre",),
@@ -147,13 +147,13 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "jet_pressure_error",
         "loading",
-        "The jet is stronger or weaker than it is said to be.",
+        "The jet is stronger or weaker than stated.",
         (
             two_sided(
                 "jet_pressure_part",
                 NUMBER,
                 0.3,
-                "part by which the jet is stronger",
+                "relative excess of the jet's pressure",
                 reading=ratio("times the stated pressure"),
             ),
         ),
@@ -168,13 +168,13 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "jet_width_error",
         "loading",
-        "The jet is wider or narrower than it is said to be.",
+        "The jet is wider or narrower than stated.",
         (
             two_sided(
                 "jet_width_part",
                 NUMBER,
                 0.3,
-                "part by which the jet is wider",
+                "relative excess of the jet's width",
                 reading=ratio("times the stated width"),
             ),
         ),
@@ -205,7 +205,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "iop_error",
         "loading",
-        "The pressure of the eye is not the one that was measured.",
+        "The intraocular pressure differs from the measured one.",
         (two_sided("iop_difference", MMHG, 8.0 * _ONE_MMHG, "pressure beyond the stated one"),),
         (2.0 * _ONE_MMHG,),
         _of_load(
@@ -216,8 +216,8 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "iop_rise",
         "loading",
-        "The pressure of the eye rises while the jet presses.",
-        (from_zero("iop_rise", MMHG, 10.0 * _ONE_MMHG, "rise of the pressure of the eye"),),
+        "The intraocular pressure rises during the puff.",
+        (from_zero("iop_rise", MMHG, 10.0 * _ONE_MMHG, "rise of the intraocular pressure"),),
         (3.0 * _ONE_MMHG,),
         _of_load(lambda load, v: replace(load, iop_rise_mpa=load.iop_rise_mpa + v["iop_rise"])),
     ),
@@ -236,8 +236,8 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "limbus_compliance",
         "boundary",
-        "The limbus gives way.",
-        (from_zero("limbus_yield", MM_PER_KPA, 2 * _LIMBUS_YIELD, "yielding of the limbus"),),
+        "The limbus yields.",
+        (from_zero("limbus_yield", MM_PER_KPA, 2 * _LIMBUS_YIELD, "compliance of the limbus"),),
         (_LIMBUS_YIELD,),
         _of_candidate(_limbus),
         searched_as=("limbus_compliance",),
@@ -269,18 +269,18 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "thickness_error",
         "observation",
-        "The cornea is thicker or thinner than it was seen, in both images alike.",
-        (two_sided("thickness_difference", MM, 0.1, "thickness beyond the seen one"),),
+        "The cornea is thicker or thinner than it appears in both images.",
+        (two_sided("thickness_difference", MM, 0.1, "thickness beyond the apparent one"),),
         (0.02,),
         _of_candidate(lambda c, v: thickened(c, v["thickness_difference"])),
     ),
     _effect(
         "posterior_distortion",
         "observation",
-        "The inner surface of the deformed cornea is not where it is seen: the camera looks "
+        "The inner surface of the deformed cornea appears displaced, because the camera looks "
         "through the outer one.",
         (
-            two_sided("posterior_shift", MM, 0.2, "how much thicker the deformed cornea is seen"),
+            two_sided("posterior_shift", MM, 0.2, "excess of the apparent thickness when deformed"),
             two_sided("posterior_bow", MM, 0.2, "the same in the middle, none at the edges"),
         ),
         (0.03, 0.05),
@@ -291,8 +291,8 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "segmentation_bias",
         "observation",
-        "Both surfaces of the deformed cornea are drawn too far outside or inside.",
-        (two_sided("segmentation_offset", MM, 0.1, "how far outside they are drawn"),),
+        "Both surfaces of the deformed cornea are segmented too far outside or inside.",
+        (two_sided("segmentation_offset", MM, 0.1, "outward offset of the segmentation"),),
         (0.01,),
         unchanged,
         _both_surfaces,
@@ -300,7 +300,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "plane_strain",
         "global material",
-        "The cornea is held along its third direction, which the section does not show.",
+        "The cornea is held along the third direction, perpendicular to the section.",
         (
             from_zero(
                 "plane_strain_share",
@@ -317,7 +317,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "carried_prestress",
         "global material",
-        "The cornea in the first image is stiffer by the stretch that it carries.",
+        "The cornea in the first image is stiffened by its prestretch.",
         (
             from_zero(
                 "carried_share",
@@ -336,7 +336,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
 
 NOT_SIMULATED = (
     ("fibres", "the law of the thesis is isotropic"),
-    ("viscosity", "one image under the jet does not show how fast the cornea gives way"),
+    ("viscosity", "one image under the jet does not show how fast the cornea yields"),
 )
 
 CATALOGUE = Catalogue((*CORNEA_EFFECTS, *plugged_effects("cornea")), NOT_SIMULATED)

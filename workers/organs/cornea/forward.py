@@ -17,7 +17,7 @@ from palpate.workers.organs.cornea.solver.solve import Equilibrium, equilibrium
 from palpate.workers.organs.cornea.solver.t6_assembly import deformed_state
 from palpate.workers.organs.cornea.spec import CorneaCase
 
-# Difference of a constant: of its value, or of its interval where it can be zero.
+# Difference step of a constant: relative to its value, or to its interval if it can be zero.
 STEP = 1e-5
 
 
@@ -30,9 +30,9 @@ class LoadedCornea:
     meshes : MeshForModels
     case : CorneaCase
     constants : mapping of str to float
-        All of them, inside names and units.
+        All constants, in internal names and units.
     middle_mm : float
-        The x of the middle of the section.
+        x of the middle of the section.
     """
 
     meshes: MeshForModels
@@ -42,21 +42,21 @@ class LoadedCornea:
 
     @cached_property
     def candidate(self) -> Candidate:
-        """What is solved."""
+        """Return the candidate."""
         return self._candidate(self.constants)
 
     @cached_property
     def equilibrium(self) -> Equilibrium:
-        """The solution with its equations."""
+        """Return the solution with its equations."""
         at = self.candidate
         return equilibrium(at.prepared, at.constants, at.load)
 
     @cached_property
     def fields(self) -> tuple[FloatArray, FloatArray]:
-        """Deformation gradient and Cauchy stress in MPa.
+        """Return the deformation gradient and the Cauchy stress in MPa.
 
         Both have the shape (m, q, 3, 3): m triangles, q points in each; the third axis is normal
-        to the section. The gradient is measured from where the prestress is.
+        to the section. The gradient is relative to the configuration of the prestress.
         """
         at, u = self.equilibrium, self.equilibrium.solution.displacement_mm
         system = at.prestressed.system
@@ -73,7 +73,7 @@ class LoadedCornea:
         return F, cauchy
 
     def gradient(self, parameter: Parameter) -> FloatArray:
-        """Return the derivative of the displacement, shape (n, 2), in mm per unit as stated.
+        """Return the derivative of the displacement, shape (n, 2), in mm per external unit.
 
         Raises
         ------

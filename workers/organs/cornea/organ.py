@@ -40,7 +40,7 @@ from palpate.workers.organs.cornea.spec import (
 from palpate.workers.organs.organ import Arrays, Facts
 from palpate.workers.spec import Door
 
-# Of a mesh on which constants are fitted first.
+# Approximate element count of the coarse mesh for a first fit.
 FEWEST_ELEMENTS = 60
 _MESH_ARRAYS = ("nodes_mm", "triangles", "anterior", "posterior", "left", "right")
 
@@ -149,7 +149,7 @@ class Cornea:
         return CorneaOutcome(solve_prepared(problem.prepared, problem.constants, problem.load))
 
     def coarse_case(self, case: CorneaCase, nodes: int) -> CorneaCase:
-        """See `DifferentiableOrgan.coarse_case`: an element brings two nodes, about."""
+        """See `DifferentiableOrgan.coarse_case`: there are about two nodes per element."""
         mesh = MeshSpec(elements=max(FEWEST_ELEMENTS, nodes // 2))
         return case.model_copy(update={"mesh": mesh})
 
@@ -200,7 +200,7 @@ ORGAN = Cornea()
 
 def _frame_of(spec: Door) -> FrameSpec | None:
     if not isinstance(spec, CorneaReference | CorneaTarget):
-        raise TypeError(f"a cornea is described by its own doors, found {type(spec).__name__}")
+        raise TypeError(f"a cornea has its own settings, found {type(spec).__name__}")
     return spec.frame
 
 

@@ -14,16 +14,16 @@ from palpate.workers.organs.cornea.section.shape import depth_mm
 from palpate.workers.organs.cornea.spec import CorneaCase
 from palpate.workers.organs.study_checks import Finding
 
-# Of the middle whose motion is the depth of the dent; what may pass for one.
+# Half width of the middle whose motion is the depth of the dent, and plausible depths.
 MIDDLE_MM = 0.5
 LEAST_DEPTH_MM, MOST_DEPTH_MM = 0.02, 2.5
-# Scale of the target over the reference by the thickness of the periphery, and local thickness.
+# Plausible ratios of target to reference: thickness of the periphery, and local thickness.
 SCALE = (0.85, 1.18)
 LOCAL_THICKNESS = (0.75, 1.33)
 OUTER_MM = 1.0
-# Sizes of two frames of one camera differ by a cut, not by more than this part.
+# Frames of one camera differ in size by cropping, not by more than this fraction.
 SAME_WIDTH = 0.2
-# A motion of the periphery from which it is named, and beyond which it is no motion of an eye.
+# Motions of the periphery from which it is reported, and beyond which it is implausible.
 NAMED_MM, NAMED_DEG = 0.1, 0.5
 MOST_SHIFT_MM, MOST_TILT_DEG = 1.0, 5.0
 
@@ -37,7 +37,7 @@ def check_pair(rest: Imaged, pressed: Imaged, case: CorneaCase) -> Iterator[Find
 
 
 def exchanged(rest: Imaged, pressed: Imaged) -> Iterator[Finding]:
-    """Say so if the reference is the dented frame and the target a smooth, convex one."""
+    """Yield a finding if the reference is the dented frame and the target a smooth, convex one."""
     smooth = abs(pressed.shape.anterior_bump.height_mm) < SMOOTH_MM
     try:
         depth = depth_mm(rest.section, pressed.section, MIDDLE_MM)
@@ -52,7 +52,7 @@ def exchanged(rest: Imaged, pressed: Imaged) -> Iterator[Finding]:
 
 
 def _raster(rest: Imaged, pressed: Imaged) -> Iterator[Finding]:
-    """Yield what is wrong with the sizes of the pictures and of their pixels."""
+    """Yield findings on the sizes of the pictures and of their pixels."""
     pixels = [np.array(one.spec.pixel_mm) for one in (rest, pressed)]
     stated = ", ".join(
         f"{one.key}.pixel_mm is [{one.spec.pixel_mm[0]:g}, {one.spec.pixel_mm[1]:g}]"
@@ -98,8 +98,8 @@ def _depth(rest: Imaged, pressed: Imaged) -> Iterator[Finding]:
         yield Finding(
             "implausible",
             f"The middle of the cornea moves by {1000 * abs(depth):.0f} um {both}, less than the "
-            f"{1000 * LEAST_DEPTH_MM:.0f} um by which a surface may be misplaced: nothing was "
-            "measured. Give a frame under the jet.",
+            f"{1000 * LEAST_DEPTH_MM:.0f} um by which a surface may be misplaced: the deformation "
+            "cannot be measured. Give a frame under the jet.",
         )
     elif depth > MOST_DEPTH_MM:
         yield Finding(
@@ -110,7 +110,7 @@ def _depth(rest: Imaged, pressed: Imaged) -> Iterator[Finding]:
 
 
 def _same_eye(rest: Imaged, pressed: Imaged) -> Iterator[Finding]:
-    """Compare the thickness along both sections: a jet hardly changes it."""
+    """Compare the thickness along both sections, which a jet hardly changes."""
     x, ratio = _thickness_ratio(rest.section, pressed.section)
     outer = (x < x[0] + OUTER_MM) | (x > x[-1] - OUTER_MM)
     scale = float(np.median(ratio[outer]))
@@ -145,7 +145,7 @@ def _thickness_ratio(rest: Section, pressed: Section) -> tuple[FloatArray, Float
 
 
 def _motion(rest: Imaged, pressed: Imaged, case: CorneaCase) -> Iterator[Finding]:
-    """Name a motion of the whole eye, which a study does not search unless it is asked to."""
+    """Yield a finding on a motion of the whole eye, which a study searches only on request."""
     try:
         found = register_periphery(rest.section, pressed.section, OUTER_MM)
     except InputError as error:
@@ -155,7 +155,7 @@ def _motion(rest: Imaged, pressed: Imaged, case: CorneaCase) -> Iterator[Finding
     sideways = abs(found.motion.tilt_rad * rest.shape.radius_mm)
     stated = {"eye_shift_y_mm", "eye_tilt_deg"} & set(case.constants)
     moved = f"The edges of the cornea move by {y_mm:+.2f} mm along y and turn by {tilt_deg:+.1f} "
-    moved += f"degrees (or shift sideways by {sideways:.2f} mm, which looks alike) "
+    moved += f"degrees (or shift sideways by {sideways:.2f} mm, which looks the same) "
     moved += f"from {rest.name} to {pressed.name}"
     if abs(y_mm) > MOST_SHIFT_MM or abs(tilt_deg) > MOST_TILT_DEG:
         yield Finding(
@@ -166,7 +166,7 @@ def _motion(rest: Imaged, pressed: Imaged, case: CorneaCase) -> Iterator[Finding
     elif (abs(y_mm) > NAMED_MM or abs(tilt_deg) > NAMED_DEG) and not stated:
         yield Finding(
             "warning",
-            f"{moved}: the whole eye moves, and a model that holds its edges takes that for "
-            "another stiffness. Search eye_shift_y_mm and eye_tilt_deg as well, or see "
+            f"{moved}: the whole eye moves, and a model with held edges mistakes that for "
+            "a different stiffness. Search eye_shift_y_mm and eye_tilt_deg as well, or see "
             "`palpate diagnose`.",
         )

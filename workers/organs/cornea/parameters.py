@@ -1,7 +1,7 @@
-"""Name the parameters of a corneal model: constants, pressures, and what else it can do.
+"""Parameters of a corneal model: constants, pressures, and further effects.
 
-What a thesis' study holds fixed stands at a neutral value at which it changes nothing; the
-pressures and the jet stand at what the case states.
+Parameters that the thesis holds fixed have a neutral value, which changes nothing; the
+pressures and the jet default to the values of the case.
 """
 
 import math
@@ -18,7 +18,7 @@ ALPHA = (0.1, 100.0)
 
 
 def _term(number: int) -> tuple[Parameter, Parameter]:
-    # The means of Table 5.2 stand where nothing is stated; a third term is absent.
+    # Defaults are the means of Table 5.2; a third term is absent.
     mu_pa, alpha = ((26_034.0, 75.11), (22_962.0, 63.70), (0.0, 1.0))[number - 1]
     return (
         Parameter(
@@ -64,15 +64,15 @@ CORNEA = Vocabulary(
     [
         *(parameter for number in range(1, TERMS + 1) for parameter in _term(number)),
         _from_zero("bulk", KPA, 1e5, 1e3 * DEFAULT_BULK_MPA, "bulk modulus K", zero=False),
-        _from_zero("iop", MMHG, 40, 10.5, "pressure of the eye"),
+        _from_zero("iop", MMHG, 40, 10.5, "intraocular pressure"),
         _from_zero("jet_pressure", KPA, 40, 15, "pressure of the air jet"),
-        _either_sign("jet_centre", MM, 1, "place of the jet, from the middle of the section"),
+        _either_sign("jet_centre", MM, 1, "position of the jet, from the middle of the section"),
         _from_zero("jet_width", NUMBER, 2, 1, "widening of the jet", zero=False),
-        _from_zero("iop_rise", MMHG, 10, 0, "what the jet adds to the pressure of the eye"),
+        _from_zero("iop_rise", MMHG, 10, 0, "increase of the intraocular pressure by the jet"),
         _either_sign("eye_shift_x", MM, 0.5, "motion of the whole eye to the right"),
         _either_sign("eye_shift_y", MM, 0.5, "motion of the whole eye outwards"),
         _either_sign("eye_tilt", DEGREE, 3, "rotation of the whole eye, counter-clockwise"),
-        _from_zero("limbus_compliance", MM_PER_KPA, 0.01, 0, "yielding of the limbus, per area"),
+        _from_zero("limbus_compliance", MM_PER_KPA, 0.01, 0, "compliance of the limbus, per area"),
         _either_sign("depth_gradient", NUMBER, 1, "ln of posterior over anterior stiffness"),
         _either_sign("side_gradient", NUMBER, 1, "ln of right over left stiffness"),
     ]

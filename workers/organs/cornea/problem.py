@@ -1,4 +1,4 @@
-"""What the solver of a cornea is asked: from constants at hand to a candidate."""
+"""Construction of the solver's input from the constants of a study."""
 
 from collections.abc import Mapping
 
@@ -17,21 +17,21 @@ from palpate.workers.organs.cornea.spec import CorneaCase
 def candidate_of(
     meshes: MeshForModels, case: CorneaCase, values: Mapping[str, float], middle_mm: float
 ) -> Candidate:
-    """Return what is to be solved.
+    """Return the candidate for given parameter values.
 
     Parameters
     ----------
     meshes : MeshForModels
     case : CorneaCase
     values : mapping of str to float
-        Every parameter of `workers.organs.cornea.parameters.CORNEA`, inside units.
+        Every parameter in `workers.organs.cornea.parameters.CORNEA`, in internal units.
     middle_mm : float
         See `middle_of`.
 
     Raises
     ------
     InputError
-        If constants or load make no sense together.
+        If constants or load are inconsistent.
     """
     return Candidate(
         prepared=meshes.prepared(model_of(case, values)),
@@ -53,7 +53,7 @@ def model_of(case: CorneaCase, values: Mapping[str, float]) -> CorneaModel:
 
 
 def constants_of(case: CorneaCase, values: Mapping[str, float]) -> CorneaConstants:
-    """Return the law; a term whose modulus is zero is none, unless all are."""
+    """Return the law; terms with a zero modulus are left out, unless all are zero."""
     numbers = [n for n in range(1, TERMS + 1) if values[f"mu{n}"] > 0] or [1]
     return CorneaConstants(
         mu_mpa=tuple(values[f"mu{n}"] for n in numbers),
@@ -85,7 +85,7 @@ def middle_of(section: Section) -> float:
 
 
 def jet_nodes_x_mm(section: Section, case: CorneaCase) -> tuple[float, ...]:
-    """Return where the mesh has nodes: at the edges and the centre of the jet, and the middle."""
+    """Return the required nodes of the mesh: edges and centre of the jet, and the middle."""
     middle, jet = middle_of(section), case.load.jet
     centre = middle + jet.centre_mm
     return tuple(sorted({middle, centre, centre - jet.reach_mm, centre + jet.reach_mm}))

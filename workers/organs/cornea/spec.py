@@ -1,4 +1,4 @@
-"""What may be stated of a cornea: the case, the target and the score of a study."""
+"""Keys of a cornea in a study file: case, target and score."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, ClassVar, Literal, Self
@@ -45,7 +45,7 @@ class GeneratedSectionSpec(Door):
 
 
 class RefractionSpec(Door):
-    """How the camera saw the posterior surface; see `workers.organs.cornea.section.refraction`.
+    """The camera's view of the posterior surface; see `workers.organs.cornea.section.refraction`.
 
     Parameters
     ----------
@@ -62,16 +62,16 @@ class RefractionSpec(Door):
 class FrameSpec(Door):
     """An image of a section and its scale; see `workers.organs.cornea.frames.reading`.
 
-    ``first_pixel`` is the column and row of its first pixel in the raster that both frames
-    of a pair share. ``refraction: null`` leaves the posterior surface where it appears.
+    ``first_pixel`` is the column and row of its first pixel in the raster shared by both frames
+    of a pair. ``refraction: null`` leaves the posterior surface where it appears.
 
     Parameters
     ----------
     first_pixel
-        Column and row of the first pixel of the file in the raster that both frames of a pair
-        share.
+        Column and row of the first pixel of the file in the raster shared by both frames of a
+        pair.
     refraction
-        Corrects where the posterior surface appears; null: leaves it there.
+        Corrects the apparent posterior surface; null: no correction.
     """
 
     file: str = Field(description="the picture of the section")
@@ -83,7 +83,7 @@ class FrameSpec(Door):
 
 
 class CorneaReference(Door):
-    """The undeformed section, under the pressure of the eye: generated, or an image."""
+    """The undeformed section, under the intraocular pressure: generated, or an image."""
 
     exactly_one: ClassVar[Pairs] = (("section", "frame"),)
 
@@ -92,7 +92,7 @@ class CorneaReference(Door):
 
 
 class MeshSpec(Door):
-    """How many 6-node triangles there are, about.
+    """The size of the mesh.
 
     Parameters
     ----------
@@ -104,21 +104,21 @@ class MeshSpec(Door):
 
 
 class ModelSpec(Door):
-    """How a section is modelled; see `workers.organs.cornea.material.model`.
+    """The model of a section; see `workers.organs.cornea.material.model`.
 
-    Two terms of the law that change places are the same cornea. ``order_terms_by`` says by
-    which constant they are put in order, least first, before they are simulated and reported.
+    Exchanging two terms of the law does not change the cornea. ``order_terms_by`` is the
+    constant by which they are sorted, smallest first, before simulation and report.
 
     Parameters
     ----------
     kind
         Out-of-plane behaviour of the section.
     convention
-        How mu and alpha of the Ogden law enter its energy.
+        Role of mu and alpha in the energy of the Ogden law.
     prestress
         How the shape without pressure is taken into account.
     order_terms_by
-        Constant by which the terms of the law are put in order, least first.
+        Constant by which the terms of the law are sorted, smallest first.
     """
 
     kind: Kind = "plane stress"
@@ -128,14 +128,14 @@ class ModelSpec(Door):
 
 
 class JetProfileSpec(Door):
-    """Pressure of the jet over the distance from its centre, as a part of the whole.
+    """Pressure of the jet over the distance from its centre, relative to the full pressure.
 
     Parameters
     ----------
     r_mm
         Distances from the centre of the jet, in mm, ascending.
     fraction
-        Pressure at these distances, as a part of the whole.
+        Pressure at these distances, relative to the full pressure.
     """
 
     r_mm: Annotated[tuple[Zero, ...], Field(min_length=1)]
@@ -151,15 +151,15 @@ class JetProfileSpec(Door):
 
     @property
     def profile(self) -> JetProfile:
-        """Return the profile as the load takes it."""
+        """Return the profile as part of a load."""
         return JetProfile(self.r_mm, self.fraction)
 
 
 class JetSpec(Door):
-    """The air jet: its pressure, and where it acts.
+    """The air jet: its pressure and position.
 
-    ``centre_mm`` is measured from the middle of the section. The default of 15 kPa is the
-    reading of the thesis' "15 mmHg" with which its corneas turn concave; see
+    ``centre_mm`` is measured from the middle of the section. The default of 15 kPa is an
+    interpretation of the thesis' "15 mmHg" at which its corneas become concave; see
     `workers.organs.cornea.material.load.CorneaLoad`.
 
     Parameters
@@ -186,24 +186,24 @@ class JetSpec(Door):
 
     @property
     def pressure_mpa(self) -> float:
-        """Return the pressure, whichever way it is stated."""
+        """Return the pressure, whichever unit it is stated in."""
         if self.pressure_kpa is not None:
             return self.pressure_kpa / 1000
         return MPA_PER_MMHG * (self.pressure_mmhg or 0.0)
 
     @property
     def reach_mm(self) -> float:
-        """Return how far from its centre the jet acts."""
+        """Return the radius within which the jet acts."""
         return self.diameter_mm / 2 if self.profile is None else self.profile.r_mm[-1]
 
 
 class LoadSpec(Door):
-    """The pressure of the eye and the air jet.
+    """The intraocular pressure and the air jet.
 
     Parameters
     ----------
     iop_mmhg
-        Intra-ocular pressure, in mmHg.
+        Intraocular pressure, in mmHg.
     jet
         The air jet.
     """
@@ -213,19 +213,19 @@ class LoadSpec(Door):
 
 
 class FindingsSpec(Door):
-    """What is said of the fitted eye; see `workers.organs.cornea.findings.study`.
+    """Findings about the fitted eye; see `workers.organs.cornea.findings.study`.
 
-    ``profiles`` takes about a minute. ``jet_fractions`` are the pressures, as parts of the
-    full one, whose images would be taken together. ``not_measured`` names what was assumed.
+    ``profiles`` takes about a minute. ``jet_fractions`` are the pressures, relative to the full
+    one, of a hypothetical series of images. ``not_measured`` lists assumed quantities.
 
     Parameters
     ----------
     profiles
         Whether profiles of the constants are computed, which takes about a minute.
     jet_fractions
-        Pressures, as parts of the full one, of images that would be taken together.
+        Pressures, relative to the full one, of a hypothetical series of images.
     not_measured
-        What was assumed, not measured.
+        Quantities that were assumed, not measured.
     """
 
     profiles: bool = False
@@ -241,13 +241,13 @@ class CorneaCase(CaseSpec):
     organ
         Name of the organ.
     mesh
-        How fine the mesh is.
+        Size of the mesh.
     model
-        How the section is modelled.
+        Model of the section.
     load
-        The pressure of the eye and the air jet.
+        Intraocular pressure and air jet.
     findings
-        What the report says of the fitted eye.
+        Findings in the report.
     """
 
     organ: Literal["cornea"]
@@ -271,11 +271,11 @@ class CorneaCase(CaseSpec):
         return " and ".join(f"case.load.{key}" for key in keys)
 
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
-        """See `CaseSpec.complete`; pressures and jet are what the load states.
+        """See `CaseSpec.complete`; pressures and jet are taken from the load.
 
-        The terms of the law are in the order that the model states. Where some constants of the
-        law are given here and others are held, only terms that are given here in full change
-        places: a name then means the same constant throughout a search.
+        The terms of the law are in the model's order. If some constants of the law are given
+        here and others are held, only terms given here in full are exchanged: a name then refers
+        to the same constant throughout a search.
         """
         jet = self.load.jet
         stated = {
@@ -288,13 +288,13 @@ class CorneaCase(CaseSpec):
         return self._ordered(values, given or set(values), _pairs("mu{}", "alpha{}"))
 
     def canonical(self, genes: Mapping[str, float]) -> dict[str, float]:
-        """See `CaseSpec.canonical`: the terms are in the order that the model states."""
+        """See `CaseSpec.canonical`: the terms are in the model's order."""
         return self._ordered(dict(genes), set(genes), _pairs("mu{}_pa", "alpha{}"))
 
     def _ordered(
         self, values: dict[str, float], movable: Collection[str], pairs: Sequence[tuple[str, str]]
     ) -> dict[str, float]:
-        """Put in order the terms whose names are all movable."""
+        """Sort the terms whose names are all movable."""
         if self.model.order_terms_by == "nothing":
             return values
         present = [p for p in pairs if set(p) <= set(movable) and values[p[0]] > 0]
@@ -316,7 +316,7 @@ class CorneaTarget(TargetSpec):
     Parameters
     ----------
     mesh
-        A mesh of its own for a simulated target, such as a finer one.
+        A separate mesh for a simulated target, such as a finer one.
     """
 
     exactly_one: ClassVar[Pairs] = (("constants", "frame"),)
@@ -332,21 +332,21 @@ class CorneaTarget(TargetSpec):
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         if self.frame is not None and self.mesh is not None:
-            raise ValueError("a mesh is for a simulated target, but a frame is given: take it out")
+            raise ValueError("a mesh is for a simulated target, but a frame is given: remove it")
         return self
 
 
 class CorneaScore(ScoreSpec):
-    """How two sections are compared: in pixels of this size, between two vertical lines.
+    """Comparison of two sections: in pixels of this size, between two vertical lines.
 
-    ``window_mm`` cuts both sections; an image shows less of a cornea than is simulated.
+    ``window_mm`` crops both sections; an image shows less of a cornea than is simulated.
 
     Parameters
     ----------
     pixel_um
         Size of the pixels in which sections are compared, in um.
     window_mm
-        Left and right end of what is compared, in mm from the middle.
+        Left and right end of the compared part, in mm from the middle.
     """
 
     pixel_um: Positive = 2.0

@@ -1,6 +1,6 @@
 """Plausibility checks of a cornea's section and frames, before the first task of a study.
 
-A frame that is refused here would be searched to the end and be explained by wrong constants.
+A frame that passes wrongly would be searched to the end and explained by wrong constants.
 """
 
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ class CorneaChecks:
     def before_bodies(
         self, case: CorneaCase, target: CorneaTarget, score: CorneaScore
     ) -> Iterator[Finding]:
-        """Check nothing: the spec has refused what contradicts itself."""
+        """Check nothing: the model of the file has already refused contradictions."""
         yield from ()
 
     def of_bodies(
@@ -53,7 +53,7 @@ class CorneaChecks:
         reference: Section | None,
         deformed: Section | None,
     ) -> Iterator[Finding]:
-        """Check each frame on its own, then both as a pair."""
+        """Check each frame separately, then both as a pair."""
         rest = _imaged("case.reference.frame", case.reference.frame, reference)
         pressed = None
         if target is not None:

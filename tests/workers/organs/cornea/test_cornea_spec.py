@@ -1,4 +1,4 @@
-"""What a study may state of a cornea, and what is refused in one sentence."""
+"""Keys of a cornea in a study file, and refusals."""
 
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,11 @@ def case(**parts: Any) -> CorneaCase:
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("cornea*.yaml")), ids=lambda p: p.stem)
-def test_the_examples_are_studies_of_a_cornea(path: Path) -> None:
+def test_examples_are_studies_of_a_cornea(path: Path) -> None:
     assert read_spec(path).case.organ == "cornea"
 
 
-def test_pressures_at_the_door_are_megapascals_inside() -> None:
+def test_pressures_are_converted_to_megapascals() -> None:
     literal = case(load={"iop_mmhg": 12, "jet": {"pressure_mmhg": 15, "centre_mm": 0.2}}).complete()
     assert literal["iop"] == pytest.approx(12 * MPA_PER_MMHG)
     assert literal["jet_pressure"] == pytest.approx(15 * MPA_PER_MMHG)
@@ -34,7 +34,7 @@ def test_pressures_at_the_door_are_megapascals_inside() -> None:
     assert case(constants=X1).complete()["mu2"] == pytest.approx(0.035)
 
 
-def test_terms_that_change_places_are_one_cornea() -> None:
+def test_exchanged_terms_are_the_same_cornea() -> None:
     swapped = {"mu1_pa": 35000, "alpha1": 80, "mu2_pa": 11000, "alpha2": 30}
     assert case(constants=swapped).complete() == case(constants=X1).complete()
     assert case().canonical(swapped) == X1
@@ -71,12 +71,12 @@ def test_terms_that_change_places_are_one_cornea() -> None:
         ),
     ],
 )
-def test_what_makes_no_sense_is_refused(parts: dict[str, Any], message: str) -> None:
+def test_rejects_invalid_keys(parts: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         case(**parts)
 
 
-def test_a_study_names_the_organ_by_its_doors(tmp_path: Path) -> None:
+def test_study_file_of_a_cornea(tmp_path: Path) -> None:
     (tmp_path / "frame.png").touch()
     text = """
 name: pair

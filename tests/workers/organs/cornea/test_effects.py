@@ -1,4 +1,4 @@
-"""Every effect of a cornea: nothing at its neutral values, and its slope is that of solutions."""
+"""Effects of a cornea: neutral values, and derivatives against differences of solutions."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ MESH = ORGAN.make_mesh(ORGAN.make_body(CASE.reference), CASE)
 FRAME = frame_of_section(MESH)
 SOLVER = CorneaForward()
 ON_BODY = [e for e in CORNEA_EFFECTS if e.observation is None]
-# The edge of a uniform jet lies on nodes: there the slope has a kink, and a step must be small.
+# The edge of a uniform jet is on nodes, where the derivative has a kink, so steps must be small.
 KINKED = {"jet_off_centre": 3e-3, "jet_width_error": 3e-3}
 
 
@@ -38,9 +38,9 @@ def problem() -> CorneaProblem:
     return CorneaProblem(candidate_of(ORGAN.prepare(MESH), CASE, CASE.complete(), 0.0))
 
 
-def test_names_are_once_and_searched_ones_are_known() -> None:
+def test_names_are_unique_and_searched_ones_are_known() -> None:
     names = [name for e in CORNEA_EFFECTS for name in (e.name, *e.names)]
-    assert len(names) == len(set(names)) + 1  # the rise of the pressure is called as its effect is
+    assert len(names) == len(set(names)) + 1  # one parameter has the same name as its effect
     assert all(name in CORNEA for e in CORNEA_EFFECTS for name in e.searched_as)
     searched = {e.name for e in CORNEA_EFFECTS if e.is_searched(CORNEA)}
     assert searched == {
@@ -56,7 +56,9 @@ def test_names_are_once_and_searched_ones_are_known() -> None:
 
 
 @pytest.mark.parametrize("effect", ON_BODY, ids=named)
-def test_the_slope_is_that_of_solutions(effect: Effect, problem: CorneaProblem) -> None:
+def test_derivative_matches_differences_of_solutions(
+    effect: Effect, problem: CorneaProblem
+) -> None:
     where = {n: 0.1 * sd for n, sd in zip(effect.names, effect.prior_sd, strict=True)}
     at = effect.apply(problem, where, FRAME)
     solved = SOLVER.equilibrium(None, at)
@@ -75,7 +77,7 @@ def test_the_slope_is_that_of_solutions(effect: Effect, problem: CorneaProblem) 
 
 
 @pytest.mark.parametrize("effect", ON_BODY, ids=named)
-def test_what_is_plausible_can_be_simulated(effect: Effect, problem: CorneaProblem) -> None:
+def test_plausible_values_can_be_simulated(effect: Effect, problem: CorneaProblem) -> None:
     assert effect.apply(problem, effect.neutral, FRAME) is problem
     before = SOLVER.equilibrium(None, problem).solution.displacement_mm
     at = SOLVER.equilibrium(None, effect.apply(problem, effect.plausible, FRAME))
@@ -84,7 +86,7 @@ def test_what_is_plausible_can_be_simulated(effect: Effect, problem: CorneaProbl
     assert 1e-3 < moved < 0.6
 
 
-def test_a_share_of_the_way_is_on_the_way(problem: CorneaProblem) -> None:
+def test_shares_interpolate_between_models(problem: CorneaProblem) -> None:
     effect = next(e for e in CORNEA_EFFECTS if e.name == "plane_strain")
     u = [
         SOLVER.equilibrium(
@@ -105,15 +107,15 @@ def test_a_peaked_jet_keeps_its_force() -> None:
         assert mean == pytest.approx(1.0, abs=1e-3)
 
 
-def test_a_load_that_makes_no_sense_has_no_equilibrium(problem: CorneaProblem) -> None:
+def test_inconsistent_load_has_no_equilibrium(problem: CorneaProblem) -> None:
     effect: Any = next(e for e in CORNEA_EFFECTS if e.name == "jet_off_centre")
     off = SOLVER.equilibrium(None, effect.apply(problem, {"jet_offset": 9.0}, FRAME))
     assert not off.solution.outcome.converged
     assert "jet" in off.solution.outcome.reason
 
 
-def test_a_limbus_that_is_held_is_let_go_by_a_difference(problem: CorneaProblem) -> None:
-    """An elastic limbus has other unknowns than one that is held."""
+def test_derivative_by_the_yielding_of_a_held_limbus(problem: CorneaProblem) -> None:
+    """An elastic limbus has other unknowns than a held one."""
     effect = next(e for e in CORNEA_EFFECTS if e.name == "limbus_compliance")
     where = dict.fromkeys(effect.names, 0.0)
     solved = SOLVER.equilibrium(None, problem)

@@ -1,8 +1,8 @@
-"""The figures that were measured for the thesis' cornea with an independent prototype.
+"""Figures for the thesis' cornea, measured with an independent prototype.
 
-Section with an outer radius of 7.8 mm, a chord of 11.7 mm, .595 mm thick in the middle and
-.70 mm at the limbus, 960 triangles, constants X1 of Table 5.1. Meshes differed there by
-0.5 to 1 %, because the edge of the jet lay within triangles.
+The section has an outer radius of 7.8 mm and a chord of 11.7 mm, and is 0.595 mm thick in the
+middle and 0.70 mm at the limbus; 960 triangles, constants X1 of Table 5.1. The prototype's meshes
+differed by 0.5 to 1 %, because the edge of the jet was inside triangles.
 """
 
 import numpy as np
@@ -84,15 +84,15 @@ def test_apex_in_the_convention_of_febio(kind, prestress, jet_mmhg, expected_um)
     assert apex == pytest.approx(expected_um, rel=0.01)
 
 
-def test_additive_stress_differs_from_carried_stretch_as_the_inventory_says():
+def test_additive_stress_differs_from_mulf_as_in_the_inventory():
     """-2.3 % at 112.5 mmHg, +10 % at 15 mmHg."""
     for jet_mmhg, expected in ((112.5, -0.0213), (15.0, 0.1075)):
         additive, mulf = (apex_um("plane stress", m, jet_mmhg) for m in ("additive", "mulf"))
         assert additive / mulf - 1 == pytest.approx(expected, abs=0.005)
 
 
-def test_the_mesh_of_960_triangles_is_converged():
-    """To 0.1 %, with nodes at the edges of the jet or without, and with either quadrature."""
+def test_mesh_of_960_triangles_is_converged():
+    """To 0.1 %, with or without nodes at the edges of the jet, and with either quadrature."""
     finest = apex_um("plane stress", "additive", 112.5, mesh=corneal_arc(240, 6))
     at_edges = corneal_arc(120, 4, at_x_mm=(-1.5, 1.5))
     for mesh in (MESH, at_edges):
@@ -102,8 +102,8 @@ def test_the_mesh_of_960_triangles_is_converged():
 
 
 @pytest.mark.parametrize("kind", ["plane stress", "axisymmetric"])
-def test_a_generated_section_is_the_cornea_of_the_inventory(kind):
-    """Its posterior surface is one arc, not a parabola of the thickness: 1 % of the apex."""
+def test_generated_section_matches_the_inventory(kind):
+    """Its posterior surface is an arc, not a parabola in thickness: 1 % of the apex motion."""
     mesh = mesh_section(generated_section(), 960, nodes_at_x_mm=(-1.5, 0.0, 1.5))
     structured = apex_um(kind, "additive", 112.5)
     assert apex_um(kind, "additive", 112.5, mesh=mesh) == pytest.approx(structured, rel=0.01)
@@ -117,10 +117,10 @@ def test_a_generated_section_is_the_cornea_of_the_inventory(kind):
         ("plane strain", 180.0, (959, 3.6, 0.12, 0.006)),
     ],
 )
-def test_one_combination_of_the_constants_is_seen_well(kind, jet_mmhg, expected_um):
+def test_singular_values_match_the_inventory(kind, jet_mmhg, expected_um):
     """Singular values of the shift of both surfaces along their normals by ln(constant).
 
-    The inventory has them to two or three digits, from differences of whole solutions.
+    The inventory gives two or three digits, from differences of whole solutions.
     """
     model = CorneaModel(kind, prestress_tolerance_mm=1e-8, tolerance_mm=1e-10)
     load = CorneaLoad(10.5 * MPA_PER_MMHG, jet_mmhg * MPA_PER_MMHG)

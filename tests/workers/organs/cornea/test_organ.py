@@ -1,4 +1,4 @@
-"""A cornea as an organ: the same tasks as for a breast, from a case to a score."""
+"""The cornea as an organ: the same tasks as for a breast, from a case to a score."""
 
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,7 @@ def evaluated(case: dict[str, Any], target: str, store: Path, constants: dict[st
     )
 
 
-def test_a_candidate_with_the_constants_of_the_target_is_the_target(tmp_path: Path) -> None:
+def test_candidate_with_the_target_constants_matches_the_target(tmp_path: Path) -> None:
     made = evaluation.make_target(CASE, {"constants": X1}, str(tmp_path))
     same = evaluated(CASE, made["target"], tmp_path, X1)
     assert same["score"]["jc"] == 1.0
@@ -55,7 +55,7 @@ def test_a_candidate_with_the_constants_of_the_target_is_the_target(tmp_path: Pa
     assert parts["cornea"] == other["score"]
 
 
-def test_the_tasks_give_what_the_solver_gives(tmp_path: Path) -> None:
+def test_tasks_match_the_solver(tmp_path: Path) -> None:
     made = evaluation.make_target(CASE, {"constants": X1}, str(tmp_path))
     mesh = mesh_section(generated_section(), 240, (-1.5, 0.0, 1.5))
     constants = CorneaConstants((0.011, 0.035), (30.0, 80.0))
@@ -65,7 +65,7 @@ def test_the_tasks_give_what_the_solver_gives(tmp_path: Path) -> None:
     assert apex == pytest.approx(solution.apex_displacement_um, rel=1e-9)
 
 
-def test_a_prestress_that_does_not_converge_is_an_ending(tmp_path: Path) -> None:
+def test_divergent_prestress_is_an_ordinary_outcome(tmp_path: Path) -> None:
     soft = {"mu1_pa": 20.0, "alpha1": 2.0, "mu2_pa": 20.0, "alpha2": 2.0}
     with pytest.raises(InputError, match=r"cannot be simulated: .*(prestress|pressure of the eye)"):
         evaluation.make_target(CASE, {"constants": soft}, str(tmp_path))
@@ -88,14 +88,12 @@ def test_a_prestress_that_does_not_converge_is_an_ending(tmp_path: Path) -> None
         ),
     ],
 )
-def test_cases_that_cannot_be_modelled_are_refused(
-    tmp_path: Path, changes: dict[str, Any], message: str
-) -> None:
+def test_rejects_impossible_cases(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         evaluation.prepare_case(CASE | changes, str(tmp_path))
 
 
-def test_an_image_without_a_cornea_is_refused(tmp_path: Path) -> None:
+def test_rejects_an_image_without_a_cornea(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     noise = np.clip(8 + 2 * rng.standard_normal((240, 576)), 0, 255)
     Image.fromarray(noise.astype(np.uint8)).save(tmp_path / "dark.png")
@@ -104,8 +102,8 @@ def test_an_image_without_a_cornea_is_refused(tmp_path: Path) -> None:
         evaluation.prepare_case(CASE | {"reference": {"frame": frame}}, str(tmp_path / "store"))
 
 
-def test_a_section_comes_back_from_its_image(tmp_path: Path) -> None:
-    """Without refraction, to a fraction of a pixel; the window cuts what the frame lacks."""
+def test_section_round_trip_through_an_image(tmp_path: Path) -> None:
+    """Without refraction, to a fraction of a pixel; the window crops to the frame's extent."""
     truth = RigidMotion((4.5, -2.9)).of_section(generated_section(points=1001))
     frame = generated_frame(truth, PIXEL_MM, (240, 576), seed=3)
     Image.fromarray(frame.grey.astype(np.uint8)).save(tmp_path / "rest.png")
@@ -129,7 +127,7 @@ def test_the_picture_of_a_section_has_its_area() -> None:
     assert (picture.values == CORNEA_LABEL).sum() * 1e-4 == pytest.approx(area, rel=2e-3)
 
 
-def test_bodies_and_meshes_survive_the_store() -> None:
+def test_bodies_and_meshes_round_trip_through_the_store() -> None:
     section = generated_section()
     back = ORGAN.body_from_arrays(ORGAN.body_to_arrays(section))
     np.testing.assert_array_equal(back.outline_mm, section.outline_mm)

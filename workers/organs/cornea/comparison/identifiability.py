@@ -1,13 +1,13 @@
-r"""What an image of a deformed cornea can tell of its constants, and what it cannot.
+r"""Identifiability of the constants from the image of a deformed cornea.
 
-A small change of the constants moves every point of the two surfaces along its normal by
-:math:`\sum_k a_k(s)\,d\ln\theta_k`. Errors of a contour with standard deviation
-:math:`\sigma` that are alike over a length c leave of a contour
+A small change of the constants displaces every point of the two surfaces along its normal by
+:math:`\sum_k a_k(s)\,d\ln\theta_k`. For errors of a contour with standard deviation
+:math:`\sigma` that are correlated over a length c, the information is
 
 .. math:: F_{kl} = \frac{1}{c\,\sigma^2} \int a_k a_l\,ds
 
-as information; its inverse is the Cramer-Rao bound of the relative errors. Pressures that
-were imaged one after another add up.
+and its inverse is the Cramer-Rao bound of the relative errors. The information of several
+pressures, imaged one after another, adds up.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ class ContourNoise:
     name : str
     sd_um : float
     correlation_mm : float
-        Length over which they are alike.
+        Length over which they are correlated.
     """
 
     name: str
@@ -46,19 +46,19 @@ class ContourNoise:
 
 
 def pixel_rounding(pixel_um: float) -> ContourNoise:
-    """Return the errors of a contour that is drawn in pixels and otherwise perfect."""
+    """Return the errors of a contour drawn in pixels and otherwise perfect."""
     return ContourNoise(
         f"pixels of {pixel_um:g} µm", float(pixel_um / np.sqrt(12)), pixel_um / 1000
     )
 
 
-# What a segmentation of one frame, or a model, is wrong by.
+# Error of the segmentation of one frame, or of a model.
 MODEL_ERROR = ContourNoise("20 µm, alike over 0.5 mm", 20.0, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """What the contour of one image, or of several, says of the logarithms of the constants.
+    """Information from one or several contours about the logarithms of the constants.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Information:
     gram_um2_mm : ndarray, shape (k, k)
         Integral of the products of the shifts along both surfaces.
     length_mm : float
-        Of the contour.
+        Length of the contour.
     """
 
     names: tuple[str, ...]
@@ -78,13 +78,13 @@ class Information:
 
     @property
     def singular_values_um(self) -> FloatArray:
-        """Return the root-mean-square shift of the contour by unit steps, largest first."""
+        """Return the RMS shifts of the contour by unit steps, largest first."""
         values = np.linalg.eigvalsh(self.gram_um2_mm / self.length_mm)[::-1]
         return np.sqrt(np.maximum(values, 0.0))
 
     @property
     def directions(self) -> FloatArray:
-        """Return the steps in the logarithms of the constants that belong to them, by row."""
+        """Return the corresponding steps in the logarithms of the constants, by row."""
         return np.asarray(np.linalg.eigh(self.gram_um2_mm)[1].T[::-1])
 
     def covariance(self, noise: ContourNoise) -> FloatArray:
@@ -99,24 +99,24 @@ class Information:
         return np.sqrt(np.diag(self.covariance(noise)))
 
     def __add__(self, other: "Information") -> "Information":
-        """Return what two images say together."""
+        """Return the information of two images together."""
         gram = self.gram_um2_mm + other.gram_um2_mm
         return replace(self, gram_um2_mm=gram, length_mm=self.length_mm + other.length_mm)
 
 
 @dataclass(frozen=True, eq=False)
 class FittedContour:
-    """The two surfaces of a fitted cornea, and how the constants move them.
+    """The two surfaces of a fitted cornea, and their derivatives by the constants.
 
     Parameters
     ----------
     names : tuple of str
     position_mm, normal : ndarray, shape (n, 2)
-        Of the nodes on both surfaces, deformed.
+        Of the deformed nodes on both surfaces.
     length_mm : ndarray, shape (n,)
-        Of the contour that each stands for; zero outside the window.
+        Length of contour represented by each node; zero outside the window.
     shift_um : ndarray, shape (n, k)
-        Along the normal, by unit steps of the logarithms.
+        Shift along the normal by unit steps of the logarithms.
     """
 
     names: tuple[str, ...]
@@ -126,7 +126,7 @@ class FittedContour:
     shift_um: FloatArray
 
     def gram(self) -> FloatArray:
-        """Return the integral of the products of the shifts."""
+        """Return the integral of the products of the shifts, shape (k, k)."""
         return np.asarray(self.shift_um.T @ (self.length_mm[:, None] * self.shift_um))
 
 
@@ -179,7 +179,7 @@ def contour_of(
 
 
 def information_of(candidate: Candidate, contour: FittedContour) -> Information:
-    """Return what the contour says of the constants."""
+    """Return the information from the contour about the constants."""
     values = np.array([scale_of(candidate, name) for name in contour.names])
     return Information(contour.names, values, contour.gram(), float(contour.length_mm.sum()))
 
@@ -189,7 +189,7 @@ def information_of_pressures(
     fractions: Sequence[float],
     window_mm: tuple[float, float] | None = None,
 ) -> Information | None:
-    """Return what images under several pressures of the jet say together."""
+    """Return the joint information of images at several jet pressures; None if one diverges."""
     total: Information | None = None
     for fraction in fractions:
         jet = fraction * candidate.load.jet_pressure_mpa
@@ -207,7 +207,7 @@ def shear_modulus_bound(
 ) -> float:
     """Return the Cramer-Rao bound of the relative error of G0 = 1/2 sum mu alpha.
 
-    Of the logarithms of the constants, by the tangent of ln G0.
+    The bound uses the gradient of ln G0 by the logarithms of the constants.
     """
     gradient = shear_modulus_slope(constants)
     return float(np.sqrt(gradient @ information.covariance(noise) @ gradient))
@@ -248,7 +248,7 @@ def stress_curve(
     noise: ContourNoise,
     stretch: FloatArray,
 ) -> StressCurve:
-    """Return stress over stretch with the interval that the image leaves."""
+    """Return the stress-stretch curve with its interval from the image."""
 
     def stress(c: CorneaConstants) -> FloatArray:
         return uniaxial_stress_mpa(c, stretch)
@@ -268,7 +268,7 @@ def uniaxial_stress_mpa(constants: CorneaConstants, stretch: FloatArray) -> Floa
 
 
 def attained_stretches(candidate: Candidate, displacement_mm: FloatArray) -> tuple[float, float]:
-    """Return the least and the largest stretch along the two surfaces."""
+    """Return the smallest and the largest stretch along the two surfaces."""
     mesh = candidate.prepared.mesh
     ratios = []
     for surface in (mesh.anterior[::2], mesh.posterior[::2]):
@@ -296,7 +296,7 @@ def _gradient(
 
 
 def stepped(candidate: Candidate, steps: dict[str, float]) -> Candidate:
-    """Return a candidate whose constants are larger by steps of their logarithms."""
+    """Return a candidate with the logarithms of its constants increased by steps."""
     for name, step in steps.items():
         candidate = changed(candidate, name, scale_of(candidate, name) * (np.exp(step) - 1))
     return candidate

@@ -1,4 +1,4 @@
-"""How alike two corneal sections are."""
+"""Similarity of two corneal sections."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,8 @@ from palpate.workers.organs.cornea.section.contour_distance import contour_sampl
 from palpate.workers.organs.cornea.section.outline import Section
 from palpate.workers.organs.cornea.section.polygon_areas import overlap_areas
 
-# Samples along the contours, in pixels; a mean distance of 5 pixels changes by less than
-# 0.001 pixels from there to a tenth of it.
+# Spacing of samples along the contours, in pixels; a mean distance of 5 pixels changes by less
+# than 0.001 pixels from here to a tenth of this spacing.
 SPACING_PIXELS = 5.0
 
 
@@ -37,24 +37,24 @@ class SectionScore:
 
 
 class SectionTarget:
-    r"""A section with which candidates are compared, without drawing pixels.
+    r"""A section for comparison with candidates, without rasterisation.
 
     Areas are exact (`overlap_areas`). The modified Hausdorff distance (D22 of the thesis,
-    Eq. 3.25 and 3.26) goes from boundary to boundary, which the thesis' own tables prove,
+    Eq. 3.25 and 3.26) is between boundaries, as the thesis' tables prove,
 
     .. math:: \max\Big(\frac{1}{|\partial X|}\int_{\partial X} d(x, \partial Y),
                        \frac{1}{|\partial Y|}\int_{\partial Y} d(y, \partial X)\Big)
 
-    with exact distances to the sides of the other contour. By default a piece of a contour
-    counts as its boundary pixels would (the larger of its extents along x and y), so the
-    result is that of images without their rounding; ``pixelwise=False`` counts its length.
+    with exact distances to the sides of the other contour. By default a piece of a contour is
+    weighted by its number of boundary pixels (the larger of its extents along x and y), so the
+    result equals that of images without rounding; ``pixelwise=False`` weights it by its length.
 
     Parameters
     ----------
     section : Section
     pixel_um : float
-        Pixels of the thesis' images; 2 um. They only set the unit of the distance in the
-        GSF and the spacing of the samples; > 0.
+        Pixels of the thesis' images, 2 um; > 0. Sets only the unit of the distance in the
+        GSF and the spacing of the samples.
     pixelwise : bool
 
     Raises
@@ -91,7 +91,7 @@ class SectionTarget:
         outline: FloatArray = np.ascontiguousarray(candidate.outline_mm)
         area, target_area, shared = overlap_areas(outline, self._outline)
         union = area + target_area - shared
-        # Rounding may leave areas of identical sections a last digit apart.
+        # Rounding may leave a difference in the last digit between areas of identical sections.
         jc = float(np.clip(shared / union, 0.0, 1.0))
         samples = contour_samples(outline, self._spacing_mm, self._pixelwise)
         mhd_mm = max(mean_distance(samples, self._outline), mean_distance(self._samples, outline))

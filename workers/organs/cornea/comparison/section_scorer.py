@@ -1,4 +1,4 @@
-"""The score of a study: two sections compared inside a window, as named numbers."""
+"""The score of a study: similarity of two sections inside a window, as named numbers."""
 
 import math
 from dataclasses import dataclass
@@ -9,13 +9,13 @@ from palpate.workers.organs.cornea.section.cropped import cropped_section
 from palpate.workers.organs.cornea.section.outline import Section
 from palpate.workers.organs.cornea.spec import CorneaScore
 
-# Of a candidate that is so folded that it has no part in the window.
+# Score of a candidate so folded that no part of it is in the window.
 NOTHING_SHARED = SectionScore(jc=0.0, mhd_um=math.inf, gsf=math.inf)
 
 
 @dataclass(frozen=True)
 class NamedScore:
-    """A score with the size of the pixels that its GSF is in.
+    """A score with the pixel size of its GSF.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class NamedScore:
 
 
 class SectionScorer:
-    """Compares sections with one target.
+    """Comparison of sections with one target.
 
     Parameters
     ----------

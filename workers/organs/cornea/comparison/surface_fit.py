@@ -1,10 +1,10 @@
 r"""Signed distances between the surfaces of a cornea and its image, and their derivatives.
 
-The nodes on both surfaces, moved by the model, are compared with the same surface of the target.
-A node stands for a length :math:`\ell` of contour; errors of the image with standard deviation
-:math:`\sigma` that are alike over a length c leave its distance d with the weight
-:math:`\ell / (c\,\sigma^2)`. So J'J is the information of `cornea.comparison.identifiability`,
-whatever the mesh.
+The nodes on both surfaces, displaced by the model, are compared with the same surface of the
+target. A node represents a length :math:`\ell` of contour; for errors of the image with standard
+deviation :math:`\sigma`, correlated over a length c, its distance d has the weight
+:math:`\ell / (c\,\sigma^2)`. So J'J is the information in `cornea.comparison.identifiability`,
+independent of the mesh.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,13 +31,13 @@ from palpate.workers.organs.cornea.solver.solve import equilibrium
 from palpate.workers.organs.normal_equations import normal_equations
 from palpate.workers.organs.organ import Residuals, logarithmic
 
-# What the score of a study can tell of a section that was simulated.
+# Accuracy of the score of a study for a simulated section.
 SIMULATED = pixel_rounding(2.0)
-# Of a surface that was segmented in a frame; see `workers.organs.cornea.frames.registration`.
+# Error of a surface segmented in a frame; see `workers.organs.cornea.frames.registration`.
 SEGMENTED = ContourNoise("10 µm, alike over 0.5 mm", 10.0, 0.5)
-# Nearer to an end of a surface in an image a moved node may have no point of it beside it.
+# Closer to an end of an imaged surface, a displaced node may have no point next to it.
 END_MARGIN_MM = 0.3
-# Parameters that cannot be negative are differentiated over this part of their interval at zero.
+# Non-negative parameters at zero are differentiated over this fraction of their interval.
 ONE_SIDED = 1e-4
 
 CandidateOf = Callable[[Mapping[str, float]], Candidate]
@@ -45,19 +45,19 @@ CandidateOf = Callable[[Mapping[str, float]], Candidate]
 
 @dataclass(frozen=True, eq=False)
 class SurfaceObservation:
-    """What residuals need of mesh and target.
+    """Inputs of the residuals from mesh and target.
 
     Parameters
     ----------
     nodes : ndarray, shape (k,)
-        Of both surfaces.
+        Nodes of both surfaces.
     points : InterfacePoints
         The same nodes in the image of the undeformed cornea.
     compare : SurfaceResidual
     weight : ndarray, shape (k,)
-        By which a distance in mm is multiplied; see the top of the file.
+        Factor of a distance in mm; see the module docstring.
     noise : str
-        The noise in words.
+        The noise as text.
     """
 
     nodes: IntArray
@@ -76,12 +76,12 @@ class FittedCornea:
 
 
 def observe_surfaces(mesh: T6Mesh, target: Section, imaged: bool) -> SurfaceObservation:
-    """Choose the nodes that the target shows, and weigh them.
+    """Select the nodes that the target shows, and compute their weights.
 
     Parameters
     ----------
     mesh : T6Mesh
-        Of the undeformed section.
+        Mesh of the undeformed section.
     target : Section
     imaged : bool
         Whether the target is an image; else it was simulated.
@@ -122,16 +122,16 @@ def fit_surfaces(
     Parameters
     ----------
     candidate_at : callable
-        From all parameters, inside names and units, to a candidate.
+        Maps all parameters, in internal names and units, to a candidate.
     constants : mapping of str to float
-        All of them.
+        All parameters.
     free : sequence of FreeParameter
     observation : SurfaceObservation
 
     Raises
     ------
     InputError
-        If constants or load make no sense together.
+        If constants or load are inconsistent.
     """
     candidate = candidate_at(constants)
     at = equilibrium(candidate.prepared, candidate.constants, candidate.load)
@@ -160,9 +160,9 @@ def fit_surfaces(
 
 
 def _either_side(value: float, p: FreeParameter) -> tuple[float, float | None, float]:
-    """Return values on either side of a parameter, and how far apart they are in its unit.
+    """Return values on either side of a parameter, and their difference in its unit.
 
-    In logarithms where it is fitted as one; behind zero there is nothing.
+    The difference is in logarithms for a parameter fitted as one; one-sided at zero.
     """
     if logarithmic(p):
         return value * float(np.exp(STEP)), value * float(np.exp(-STEP)), 2 * STEP
@@ -186,7 +186,7 @@ def _change(
 
 
 def _by_solving(ahead: Candidate, displacement_mm: FloatArray, step: float) -> FloatArray:
-    """Return the derivative by a parameter that begins at zero; zero if it cannot be found."""
+    """Return the derivative by a parameter at zero by a forward difference; zero if it fails."""
     solution = equilibrium(ahead.prepared, ahead.constants, ahead.load).solution
     if not solution.converged:
         return np.zeros_like(displacement_mm)

@@ -1,4 +1,4 @@
-"""Signed distances of moved points of a cornea from the surfaces in an image."""
+"""Signed distances of displaced points of a cornea from the imaged surfaces."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ ANTERIOR, POSTERIOR = 0, 1
 
 @dataclass(frozen=True, eq=False)
 class SurfaceResidual:
-    """Compares points with the two surfaces of a section; see `Scan.compare`.
+    """Signed distances of points from the two surfaces of a section; see `Scan.compare`.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class SurfaceResidual:
     def __call__(
         self, points: FloatArray, reference: InterfacePoints
     ) -> tuple[FloatArray, FloatArray]:
-        """Return distances, (k,) in mm, positive outside, and the normals out of the tissue."""
+        """Return distances, (k,) in mm, positive outside, and outward normals."""
         residual, normals = np.empty(len(points)), np.zeros((len(points), 3))
         lines = {ANTERIOR: self.observed.anterior_mm, POSTERIOR: self.observed.posterior_mm}
         for number, line in lines.items():
@@ -38,18 +38,18 @@ class SurfaceResidual:
 
 
 def signed_distances(points: FloatArray, line: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far points lie above a polyline, and its upward normals at their feet.
+    """Return the heights of points above a polyline, and upward normals at their feet.
 
     Parameters
     ----------
     points, line : ndarray, shape (k, 2) and (n, 2)
-        The line from left to right.
+        The polyline from left to right.
     """
     start, along = line[:-1], np.diff(line, axis=0)
     arm = points[:, None] - start
     part = np.clip((arm * along).sum(-1) / (along**2).sum(-1), 0, 1)
     nearest = np.linalg.norm(arm - part[..., None] * along, axis=-1).argmin(axis=1)
-    # Normals of the vertices, in between of their neighbours: the distance is then smooth.
+    # Vertex normals are averaged from their neighbours, which makes the distance smooth.
     tangent = np.gradient(line, axis=0)
     share = part[np.arange(len(points)), nearest][:, None]
     blended = (1 - share) * tangent[nearest] + share * tangent[nearest + 1]

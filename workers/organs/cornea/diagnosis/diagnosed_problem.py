@@ -1,4 +1,4 @@
-"""What a diagnosis varies of a cornea, and how it is solved; see `diagnosis.problem.forward`."""
+"""The forward problem of a cornea in a diagnosis; see `diagnosis.problem.forward`."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -24,14 +24,14 @@ from palpate.workers.organs.cornea.solver.solve import (
 
 @dataclass(frozen=True, eq=False)
 class CorneaProblem:
-    """A candidate, and how far it behaves like one of another kind.
+    """A candidate, blended with candidates of other model options.
 
     Parameters
     ----------
     candidate : Candidate
     shares : mapping of (str, str) to float
-        By option of the model and its other value, such as ("kind", "plane strain"): the part
-        of the way from the displacement of the candidate to that of the same with the option.
+        By option of the model and its other value, such as ("kind", "plane strain"): weight
+        of the displacement with that option, the rest being the candidate's own.
     """
 
     candidate: Candidate
@@ -47,7 +47,7 @@ def remodelled(candidate: Candidate, **options: Any) -> Candidate:
 
 @dataclass(frozen=True)
 class Ending:
-    """How a simulation has ended."""
+    """The ending of a simulation."""
 
     converged: bool
     reason: str
@@ -76,7 +76,7 @@ class CorneaForward:
     def equilibrium(
         self, model: Any, problem: CorneaProblem, start: Any = None
     ) -> CorneaEquilibrium:
-        """Solve a problem; a load that makes no sense has no equilibrium."""
+        """Solve a problem; an inconsistent load has no equilibrium."""
         base, at = problem.candidate, None
         try:
             at = equilibrium(base.prepared, base.constants, base.load)
@@ -86,7 +86,7 @@ class CorneaForward:
         return CorneaEquilibrium(problem, PlaneSolution(_padded(u), Ending(not reason, reason)), at)
 
     def expecting(self, at: CorneaEquilibrium, moved_mm: FloatArray) -> CorneaEquilibrium:
-        """Return the equilibrium itself: nothing begins there."""
+        """Return the equilibrium unchanged; solutions always start from rest."""
         return at
 
     def tangents(
@@ -94,9 +94,9 @@ class CorneaForward:
     ) -> FloatArray:
         """Return derivatives of the displacement, shape (c, n, 3), in mm per unit.
 
-        Of the candidate itself, without its shares of other kinds; a change of a share is a
-        difference of solutions, in which it is linear, and so is one that lets a limbus go that
-        was held: it has other unknowns.
+        They refer to the candidate itself, without shares of other options. The derivative by
+        a share is a difference of solutions, in which the displacement is linear, and so is
+        that by the yielding of a held limbus, which changes the unknowns.
         """
         found = np.empty((len(changes), *at.solution.displacement_mm.shape))
         pairs: list[tuple[int, CandidateChange]] = []
@@ -121,19 +121,19 @@ class CorneaForward:
     def loosened(
         self, problem: CorneaProblem, tolerance_mm: float, friction_steps: int
     ) -> CorneaProblem:
-        """Return the problem itself: it is cheap."""
+        """Return the problem unchanged, since it is cheap to solve."""
         return problem
 
     def direction(self, problem: CorneaProblem) -> tuple[float, float, float]:
-        """Return that of the jet."""
+        """Return the direction of the jet."""
         return 0.0, -1.0, 0.0
 
     def pressed(self, at: CorneaEquilibrium) -> None:
-        """Return nothing: there are no plates."""
+        """Return None: there are no plates."""
 
 
 def _displacement(problem: CorneaProblem, solution: CorneaSolution) -> tuple[FloatArray, str]:
-    """Return the displacement, (n, 2), and why it is none; empty if it is."""
+    """Return the displacement, (n, 2), and the reason of a failure; empty without one."""
     base = problem.candidate
     u, reason = solution.displacement_mm, solution.reason
     for (option, value), share in problem.shares.items():

@@ -1,8 +1,8 @@
-"""What errors of the first image do to the simulated deformation.
+"""Errors of the simulated deformation that are due to errors of the first image.
 
-The mesh is drawn on a section that was segmented. Where that is too thick the cornea is too
-stiff, and the jet moves all of it less: an error that is smooth, and larger than the one that
-made it. 10 um of thickness are 50 um of displacement.
+The mesh follows a segmented section. Where that is too thick the cornea is too stiff, and the
+jet moves all of it less: an error that is smooth and larger than its cause. 10 um of thickness
+change the displacement by 50 um.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from palpate.workers.organs.cornea.solver.candidate import Candidate
 from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
 from palpate.workers.organs.cornea.solver.thickness import deeper
 
-# Waves of the error of the thickness over the section, from one that is the same everywhere.
+# Cosine modes of the thickness error along the section, starting with the constant one.
 WAVES = 12
 STEP_MM = 1e-4
 
@@ -28,16 +28,16 @@ STEP_MM = 1e-4
 def geometry_covariance(
     problem: CorneaProblem, noise: SegmentationNoise, at_points: csr_matrix, normals: FloatArray
 ) -> FloatArray:
-    """Return the covariance of the residuals from errors of the thickness, shape (k, k).
+    """Return the covariance of the residuals due to errors of the thickness, shape (k, k).
 
     Zero if the problem cannot be solved.
 
     Parameters
     ----------
     problem : CorneaProblem
-        With constants near those of the eye.
+        A problem with approximately the constants of the eye.
     noise : SegmentationNoise
-        Of which the errors in the first image count, of both surfaces.
+        Its errors of both surfaces in the first image are used.
     at_points : csr_matrix, shape (k, n)
     normals : ndarray, shape (k, 3)
     """
@@ -77,9 +77,9 @@ def _cosine(x: FloatArray, wave: int) -> FloatArray:
 
 
 def _sd_of_wave(candidate: Candidate, noise: SegmentationNoise, wave: int) -> float:
-    """Return the standard deviation of the coefficient of a cosine in the error of thickness.
+    """Return the standard deviation of the coefficient of a cosine in the thickness error.
 
-    Of an error with the correlation ``exp(-h^2 / 2 l^2)`` over a length L, from its spectrum:
+    For an error with the correlation ``exp(-h^2 / 2 l^2)`` over a length L its spectrum gives
     ``sd^2 l sqrt(2 pi) / L exp(-(pi k l / L)^2 / 2)``, twice that for k > 0.
     """
     length = float(np.ptp(candidate.prepared.mesh.nodes_mm[:, 0]))

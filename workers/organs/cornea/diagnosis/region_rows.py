@@ -14,7 +14,7 @@ SURFACES = ("anterior surface", "posterior surface")
 
 
 def region_rows(diagnosis: Diagnosis) -> Iterator[RegionGap]:
-    """Yield the gap of the nominal model on each surface: all of it, left, middle and right."""
+    """Yield the nominal model's gap on each surface: whole, left, middle and right."""
     inverse, fit = diagnosis.analysis.inverse, LinearFit(diagnosis.analysis.linear)
     x = inverse.frame.normalised(inverse.points.points)[:, 0]
     parts = {

@@ -1,7 +1,7 @@
-"""A search of a cornea that has ended, as something that can be diagnosed.
+"""A completed search of a cornea as a source of a diagnosis.
 
-Points lie on both surfaces of the undeformed section; a residual is the distance of such a
-point, moved by the model, from the same surface under the jet. In the words of
+Points are on both surfaces of the undeformed section; a residual is the distance of such a
+point, displaced by the model, from the same surface under the jet. In the terms of
 `workers.diagnosis` the outer surface is the outline, and the inner one bounds the gland.
 """
 
@@ -49,40 +49,40 @@ from palpate.workers.scan_threads import Each
 from palpate.workers.spec import validated
 from palpate.workers.units import KPA, NUMBER, Unit
 
-# A constant that was searched from about zero is plausible from this part of its upper end.
+# Lower end of the plausible interval, relative to the upper end, if the search starts near zero.
 LEAST_PART = 0.1
-# Between neighbouring points on a surface.
+# Spacing of points on a surface.
 SPACING_MM = 0.15
-# Errors of a surface that was segmented in an image, and the length over which they are alike;
+# Errors of a segmented surface, and their correlation length;
 # see `workers.organs.cornea.frames.registration`.
 SEGMENTED = SegmentationNoise(0.010, 0.5, 0.010, 0.002)
-# Of a section that was simulated: what the score's pixels of 2 um could tell.
+# The same for a simulated section: resolution of the score's pixels of 2 um.
 SIMULATED = SegmentationNoise(0.001, 0.5, 0.0, 0.0006)
-# A misfit that is not in the catalogue: from the error of a segmentation to a tenth of the
-# motion under a jet, over a thickness of the cornea to a third of its width.
+# A misfit outside the catalogue: amplitude from the segmentation error to a tenth of the motion
+# under a jet, correlation length from the thickness of the cornea to a third of its width.
 SOMETHING_ELSE = FieldSettings(amplitudes_mm=(0.01, 0.03, 0.1), lengths_mm=(0.6, 1.5, 4.0))
 
 
 @dataclass(frozen=True, eq=False)
 class CorneaStudy:
-    """What a study says and has in its store.
+    """The inputs of a diagnosis from a study and its store.
 
     Parameters
     ----------
     name : str
     case : CorneaCase
     window_mm : (float, float) or None
-        What the images show.
+        The part shown by the images.
     bounds : mapping of str to (float, float)
-        Searched intervals, inside names and units.
+        Searched intervals, in internal names and units.
     best : mapping of str to float
-        The searched parameters of the best candidate; empty if there is none.
+        Searched parameters of the best candidate; empty if there is none.
     reference, target : Section
     noise : SegmentationNoise
     caveats : tuple of str
-        Statements with which every result of the study begins.
+        Statements that qualify every result of the study.
     frames : (CorneaCase, CorneaTarget) or None
-        Which say where the frames are, for their checks; None where the study is read again.
+        Location of the frames, for their checks; None if the study is restored from the store.
     """
 
     name: str
@@ -107,12 +107,12 @@ class CorneaStudySource:
 
     @classmethod
     def from_study(cls, study: FinishedStudy) -> "CorneaStudySource":
-        """Return a study that has run as the source of a diagnosis.
+        """Return the source for a completed study.
 
         Raises
         ------
         InputError
-            If its case or target makes no sense.
+            If its case or target is invalid.
         """
         case = validated(CorneaCase, study.case, "The study's case")
         target = validated(CorneaTarget, study.target, "The study's target")
@@ -134,7 +134,7 @@ class CorneaStudySource:
 
     @classmethod
     def from_content(cls, content: SourceContent) -> "CorneaStudySource":
-        """Make it again from what the store holds."""
+        """Restore the source from its stored content."""
         record, arrays = content.record, content.arrays
         window = record["window_mm"]
         return cls(
@@ -152,10 +152,10 @@ class CorneaStudySource:
 
     @property
     def content(self) -> SourceContent:
-        """Case, intervals and best candidate of the study, and both sections."""
+        """Return case, intervals and best candidate of the study, and both sections."""
         study = self.study
         case = study.case.model_dump(mode="json")
-        # The section is among the arrays; where it came from does not matter any more.
+        # The section is among the arrays; its origin no longer matters.
         case["reference"] = {"section": {}}
         record = {
             "name": study.name,
@@ -175,22 +175,22 @@ class CorneaStudySource:
 
     @property
     def name(self) -> str:
-        """The study's."""
+        """Return the name of the study."""
         return self.study.name
 
     @property
     def scans(self) -> Sequence[str]:
-        """The one jet."""
+        """Return the name of the only scan, the jet's pressure."""
         return [f"{1000 * self.study.case.load.jet.pressure_mpa:g} kPa"]
 
     @property
     def effects(self) -> Sequence[Effect]:
-        """What may be missing from the model of a cornea, less what was searched."""
+        """Return the candidate effects of a cornea, except those that were searched."""
         return [e for e in CATALOGUE.effects if not e.is_searched(self.study.bounds)]
 
     @cached_property
     def free(self) -> list[FreeConstant]:
-        """The searched constants of the law."""
+        """Return the searched constants of the law."""
         bounds = self.study.bounds
         return [
             FreeConstant(name, max(low, LEAST_PART * high), high, _unit(name))
@@ -199,7 +199,7 @@ class CorneaStudySource:
         ]
 
     def check(self) -> None:
-        """Refuse a study that left nothing to fit."""
+        """Refuse a study without a searched constant of the law."""
         if not self.free:
             raise InputError(
                 f"The study {self.name} has searched {', '.join(self.study.bounds) or 'nothing'}; "
@@ -216,16 +216,16 @@ class CorneaStudySource:
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """Those of the study."""
+        """Return the statements that qualify the study's results."""
         return self.study.caveats
 
     def inverse_problem(
         self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
     ) -> InverseProblem:
-        """Mesh the section as the study does and compare its surfaces with the image.
+        """Mesh the section as in the study and compare its surfaces with the image.
 
-        The mesh is that of the study, and points are `SPACING_MM` apart: `nodes` and
-        `spacing_mm` are those of a body a hundred times as large.
+        Mesh and points (`SPACING_MM` apart) are independent of `nodes` and `spacing_mm`, which
+        are for a body a hundred times larger.
         """
         study = self.study
         mesh = self._mesh
@@ -251,7 +251,7 @@ class CorneaStudySource:
         )
 
     def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> None:
-        """Return None: a finer mesh moves no point by a tenth of a micrometre."""
+        """Return None: on a finer mesh no point moves by a tenth of a micrometre."""
 
     def describe(
         self,
@@ -261,7 +261,7 @@ class CorneaStudySource:
         prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
-        """Name surfaces and regions as those of a cornea."""
+        """Return the summary with the surfaces and regions of a cornea."""
         named = replace(
             summary,
             where=tuple(region_rows(diagnosis)),
@@ -273,19 +273,19 @@ class CorneaStudySource:
 
     @property
     def acquisition(self) -> Acquisition:
-        """Refuse: further images of a puff come from the same puff.
+        """Refuse: further images of a puff would be of the same puff.
 
         Raises
         ------
         InputError
         """
         raise InputError(
-            "Further frames of a cornea cannot be planned. What several pressures would tell "
-            "stands in the findings of the study: `palpate report` shows them."
+            "Further frames of a cornea cannot be planned. The benefit of several pressures is "
+            "among the findings of the study: `palpate report` shows it."
         )
 
     def problem(self) -> Callable[[Mapping[str, float]], Any]:
-        """Return the study's model, from the values of the free constants."""
+        """Return a function from the values of the free constants to the study's model."""
         study = self.study
         meshes, middle = ORGAN.prepare(self._mesh), ORGAN.landmarks(study.reference, study.case)
 
@@ -303,7 +303,7 @@ class CorneaStudySource:
 def surface_points(
     mesh: T6Mesh, window_mm: tuple[float, float] | None
 ) -> tuple[InterfacePoints, NDArray[np.intp]]:
-    """Return nodes of both surfaces inside the window as points, and their numbers."""
+    """Return nodes of both surfaces inside the window as points, and their indices."""
     nodes, normals, interfaces, lengths = [], [], [], []
     for number, surface in ((ANTERIOR, mesh.anterior), (POSTERIOR, mesh.posterior)):
         line = mesh.nodes_mm[surface]
@@ -327,14 +327,14 @@ def _unit(constant: str) -> Unit:
 
 
 def frame_of_section(mesh: T6Mesh) -> Frame:
-    """Return the box around a section, 2 mm thick."""
+    """Return the bounding box of a section, 2 mm thick."""
     low, high = mesh.nodes_mm.min(axis=0), mesh.nodes_mm.max(axis=0)
     (x, y), (half_x, half_y) = ((low + high) / 2).tolist(), ((high - low) / 2).tolist()
     return Frame((x, y, 0.0), (half_x, half_y, 1.0))
 
 
 def _spread(line: FloatArray, window_mm: tuple[float, float] | None) -> BoolArray:
-    """Return which nodes of a surface are points: about `SPACING_MM` apart, none at the ends."""
+    """Return a mask of the surface nodes used as points: `SPACING_MM` apart, none at the ends."""
     step = np.linalg.norm(np.diff(line, axis=0), axis=1).mean()
     kept = np.zeros(len(line), np.bool_)
     kept[1 : -1 : max(1, round(SPACING_MM / float(step)))] = True

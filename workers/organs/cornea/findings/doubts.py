@@ -1,4 +1,4 @@
-"""Findings of a fitted eye that bear on which of its values may be quoted."""
+"""Findings about a fitted eye that decide which of its values may be quoted."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -16,10 +16,10 @@ from palpate.workers.organs.cornea.findings.mesh_shift import PART_SEEN
 from palpate.workers.organs.cornea.findings.notes import NOT_MEASURED, UNKNOWN_FROM
 from palpate.workers.organs.cornea.material.constants import CorneaConstants
 
-# Standard deviation of a shift by the mesh, as a part of it. With a half, 90 % of the intervals of
-# G0 and stress contain the truth; see tests/benchmarks/cornea_coverage.py.
+# Standard deviation of a shift due to the mesh, relative to it. With a half, 90 % of the intervals
+# of G0 and stress cover the truth; see tests/benchmarks/cornea_coverage.py.
 SHIFT_KNOWN_TO = 0.5
-# Stretches at which the stress is given, as parts of the way from rest to the largest one.
+# Stretches at which the stress is reported, as fractions of the way from rest to the largest one.
 PARTS_OF_LARGEST = (0.25, 0.5, 0.75, 1.0)
 
 
@@ -28,7 +28,7 @@ def derived(
     constants: CorneaConstants,
     refitted: CorneaConstants | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the values that follow from the constants: G0, and stress at attained stretches.
+    """Return the values derived from the constants: G0, and stress at attained stretches.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ def derived(
     -------
     list of dict
         ``name``; ``value`` in ``unit``; ``slope``, the derivatives of its logarithm by the
-        logarithms of the constants; ``mesh_shift`` and ``mesh_sd``, the part by which the mesh
-        raises it with its standard deviation, None where that is not known; ``against``, clauses
-        that say why it may not be quoted; and ``stretch`` of a stress.
+        logarithms of the constants; ``mesh_shift`` and ``mesh_sd``, the relative increase due
+        to the mesh and its standard deviation, None if unknown; ``against``, clauses against
+        quoting it; and ``stretch`` of a stress.
     """
 
     def shift(value: Callable[[CorneaConstants], float]) -> float | None:
@@ -82,10 +82,10 @@ def derived(
 
 
 def _mesh_sds(shifts: Sequence[float | None]) -> list[float | None]:
-    """Return how well each shift by the mesh is known.
+    """Return the standard deviation of each shift due to the mesh.
 
-    A shift that is zero where those of other stretches are not is not known to be zero, so half
-    of the square is the average over all of them.
+    A shift of zero is uncertain if those of other stretches are not zero, so half of the
+    square is averaged over all of them.
     """
     known = [shift for shift in shifts if shift is not None]
     if len(known) < len(shifts):
@@ -103,7 +103,7 @@ def _named(names: Sequence[str], slope: FloatArray) -> dict[str, float]:
 
 
 def against(numbers: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return for each constant the clauses that say why it may not be quoted."""
+    """Return clauses against quoting, for each constant."""
     bounds, noise = numbers["bounds"]["model"], numbers["noises"]["model"]
     found = {}
     for name, bound in bounds.items():

@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-# Okabe and Ito's colours, as the report has them.
+# Okabe and Ito's colours, as in the report.
 COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")
 SOFT = "#5d6775"
 SMALL_PT = 9.0
-# Parts of a combination below this are not named.
+# Smaller parts of a combination are not named.
 LEAST_PART = 0.15
 
 Described = tuple[Figure, str]
@@ -22,7 +22,7 @@ def figures(
 ) -> Iterator[Described]:
     """Yield figures of the findings, each with its caption.
 
-    ``derived`` are values with their ``interval``, where it is known.
+    ``derived`` are values with their ``interval``, if it is known.
     """
     yield _curve(numbers, derived)
     yield _singular_values(numbers)
@@ -32,7 +32,7 @@ def figures(
 
 
 def image_figure(image: np.ndarray[Any, Any]) -> Figure:
-    """Return a colour image as a figure as wide as the page."""
+    """Return a colour image as a figure of the page's width."""
     shown = Figure(figsize=(10.4, 10.4 * image.shape[0] / image.shape[1]), layout="constrained")
     axes = shown.subplots()
     axes.imshow(image)
@@ -68,7 +68,7 @@ def _curve(numbers: Mapping[str, Any], derived: Sequence[Mapping[str, Any]]) -> 
     axes.axvline(curve["attained"], color=SOFT, linestyle=":", linewidth=1.2)
     bars = " with 90 % intervals" if known else ""
     return shown, (
-        f"Stress over stretch of the fitted law, of a strip that is pulled{bars}. Dotted: the "
+        f"Stress over stretch of the fitted law, for a strip under tension{bars}. Dotted: the "
         "largest stretch in this eye; the image does not determine the curve beyond it."
     )
 
@@ -86,8 +86,8 @@ def _singular_values(numbers: Mapping[str, Any]) -> Described:
     _marks(axes, {"": numbers["singular_values_um"]}, labels)
     return shown, (
         "Shift of the contour, root mean square, when a combination of the logarithms of the "
-        "constants grows by one. Combinations that move it by less than the image can tell may "
-        "take any value."
+        "constants grows by one. Combinations whose shift is below the resolution of the image "
+        "may take any value."
     )
 
 
@@ -102,9 +102,7 @@ def _bounds(numbers: Mapping[str, Any]) -> Described:
     percents = {title: [100 * v for v in one.values()] for title, one in series.items()}
     _marks(axes, percents, [_plain(name) for name in numbers["constants"]])
     axes.legend(frameon=False, fontsize=SMALL_PT, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
-    return shown, (
-        "How well each constant can be known: Cramer-Rao bounds, one standard deviation."
-    )
+    return shown, ("Uncertainty of each constant: Cramer-Rao bounds, one standard deviation.")
 
 
 def _profiles(profiles: Sequence[Mapping[str, Any]]) -> Described:
@@ -114,9 +112,9 @@ def _profiles(profiles: Sequence[Mapping[str, Any]]) -> Described:
         axes.plot(profile["factor"], y, "o-", color=colour, label=_plain(profile["name"]))
     axes.legend(frameon=False, fontsize=SMALL_PT)
     return shown, (
-        "Least misfit of the contour with one constant held at a multiple of its fitted value, "
-        "the others fitted again. What stays below the error of the image cannot be told from "
-        "the fit."
+        "Smallest misfit of the contour with one constant held at a multiple of its fitted value "
+        "and the others refitted. Values with a misfit below the image error are compatible with "
+        "the image."
     )
 
 

@@ -1,10 +1,10 @@
-"""The error that a mesh leaves in the constants of a fitted eye.
+"""The error of a fitted eye's constants due to the mesh.
 
-The eye is solved once more with its constants on a mesh of `TIMES` as many elements, and the
-constants are fitted to that contour on the study's own mesh. By as much as they move, the study's
-constants make up for its mesh. The fit follows the bent valley of the sum of squares, which a
-single Gauss step leaves: of 22 % by that step, 1.0 % are true (eye 3 of Table 5.2, 240 elements;
-by the fit: 1.0 %).
+The eye is solved again with its constants on a mesh of `TIMES` as many elements, and the constants
+are refitted to that contour on the study's own mesh. Their change is the part of the study's
+constants that compensates for its mesh. The fit follows the curved valley of the sum of squares,
+unlike a single Gauss step, which gives 22 % where 1.0 % is correct (eye 3 of Table 5.2, 240
+elements; the fit: 1.0 %).
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,12 +30,12 @@ from palpate.workers.organs.normal_equations import NormalEquations
 from palpate.workers.organs.organ import logarithmic
 
 TIMES = 4
-# The error falls with the square of the element's size, so this part of it is seen.
+# The error falls with the square of the element size, so this fraction of it is observed.
 PART_SEEN = 1 - 1 / TIMES
 EVALUATIONS = 10
 LARGEST_STEP = 0.7
 FIRST_DAMPING, DAMPING_FACTOR = 1e-6, 10.0
-# A step that gains less than this part of the sum of squares is the last one.
+# The fit stops when a step gains less than this fraction of the sum of squares.
 LEAST_GAIN = 0.02
 
 
@@ -47,7 +47,7 @@ def refitted_constants(
     middle_mm: float,
     free: Sequence[FreeParameter],
 ) -> dict[str, float] | None:
-    """Return the constants with which the study's mesh gives the contour of a finer one.
+    """Return the constants with which the study's mesh reproduces the contour of a finer one.
 
     Parameters
     ----------
@@ -56,11 +56,11 @@ def refitted_constants(
     case : CorneaCase
     body : Section
     constants : mapping of str to float
-        Of the best candidate, all of them, inside names and units.
+        All constants of the best candidate, in internal names and units.
     middle_mm : float
         See `workers.organs.cornea.problem.middle_of`.
     free : sequence of FreeParameter
-        The searched ones; those that are fitted as logarithms are refitted.
+        The searched parameters; those fitted as logarithms are refitted.
 
     Returns
     -------

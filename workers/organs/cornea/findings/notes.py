@@ -1,4 +1,4 @@
-"""The findings of a fitted eye as sentences for a reader."""
+"""Findings about a fitted eye as sentences."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,12 +10,12 @@ NOT_MEASURED = {
     "pachymetry": "the thickness of the cornea",
     "jet_pressure": "the pressure of the jet",
 }
-# Beyond this bound a constant is no better known than its interval.
+# Above this bound a constant is no better known than its searched interval.
 UNKNOWN_FROM = 0.5
 
 
 def notes(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
-    """Return sentences: what is known, what is not, and what the order of terms means."""
+    """Return sentences on identifiable values, limitations, and the order of the terms."""
     return [
         *_missing(numbers, case),
         _shear_modulus(numbers),
@@ -26,7 +26,7 @@ def notes(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
 
 
 def _missing(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
-    """Say which numbers may be used where something was assumed that nobody has measured."""
+    """Return a sentence on the usable results if something was assumed without measurement."""
     missing = numbers["not_measured"]
     if not missing:
         return []
@@ -36,9 +36,9 @@ def _missing(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
     sentence = (
         f"{what[0].upper()}{what[1:]} {verb} not measured with these images but {verb} assumed "
         f"(IOP {case.load.iop_mmhg:g} mmHg, jet {1000 * case.load.jet.pressure_mpa:g} kPa). "
-        "May be used: contours, displacements, the similarity, and how this eye compares with "
-        "itself. May not be used as properties of the tissue: mu, alpha, G0 and the curve of "
-        "stress over stretch; they hold under these assumptions only."
+        "Contours, displacements, the similarity, and comparisons of this eye with itself may be "
+        "used. Mu, alpha, G0 and the curve of stress over stretch may not be used as properties "
+        "of the tissue; they hold under these assumptions only."
     )
     changed = [numbers["assumptions"][one] for one in missing if one in numbers["assumptions"]]
     if not changed:
@@ -48,7 +48,7 @@ def _missing(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
         f"best known stretch by {100 * one['stress_part']:+.1f} %"
         for one in changed
     )
-    return [sentence, f"How much hangs on that, the constants fitted again: {parts}."]
+    return [sentence, f"Influence of these assumptions, with refitted constants: {parts}."]
 
 
 def _shear_modulus(numbers: Mapping[str, Any]) -> str:
@@ -66,7 +66,7 @@ def _fixes(bound: float) -> str:
 
 
 def _percent(part: float) -> str:
-    """Return a part in per cent with two digits, or all of them before the point."""
+    """Return a fraction as a percentage with two digits or more."""
     return f"{100 * part:.2g} %" if part < 0.1 else f"{100 * part:.0f} %"
 
 
@@ -78,9 +78,9 @@ def _constants(numbers: Mapping[str, Any]) -> str:
     text = f"{strong} of {len(values)} combinations of the constants move the contour by more "
     text += "than 1 µm when they grow by a factor of e. "
     if len(loose) == len(bounds):
-        return text + "No constant on its own is known better than to half its value."
+        return text + "No single constant is known better than to half its value."
     known = ", ".join(_plain(name) for name in bounds if name not in loose)
-    return text + f"On their own, only these are known better than to half their value: {known}."
+    return text + f"Of the single constants, only these are known better than to half: {known}."
 
 
 def _several(numbers: Mapping[str, Any]) -> list[str]:
@@ -102,12 +102,12 @@ def _order(case: CorneaCase) -> str:
     by = case.model.order_terms_by
     if by == "nothing":
         return (
-            "The two terms of the law may change places without any change of the cornea, and "
-            "stand here as they were found: compare G0 and the curve, not the constants."
+            "Exchanging the two terms of the law does not change the cornea, and they are listed "
+            "as they were found: compare G0 and the curve, not the constants."
         )
     return (
-        "The two terms of the law may change places without any change of the cornea. They are "
-        f"put in order by {by}, least first, so that constants of several eyes can be compared."
+        "Exchanging the two terms of the law does not change the cornea. They are sorted by "
+        f"{by} in ascending order, so that constants of several eyes can be compared."
     )
 
 

@@ -1,4 +1,4 @@
-"""The profile of a constant: how well the others can make up for a wrong value of it."""
+"""The profile of a constant: compensation of its error by the other constants."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,22 +13,22 @@ from palpate.workers.organs.cornea.comparison.identifiability import (
 )
 from palpate.workers.organs.cornea.solver.candidate import Candidate
 
-# Gauss-Newton steps of the others at every value; each begins from the value before.
+# Gauss-Newton steps of the others at every value, each starting from the previous value.
 STEPS = 3
-# Directions that move the contour by less than this part of the strongest one stay as they are.
+# Directions that move the contour by less than this fraction of the strongest are not changed.
 CUTOFF = 1e-5
 LARGEST_STEP = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """The least misfit of a contour with one constant held.
+    """The smallest misfit of a contour with one constant held.
 
     Parameters
     ----------
     name : str
     factor : ndarray, shape (n,)
-        Held value over the fitted one.
+        Ratio of the held value to the fitted one.
     misfit_um : ndarray, shape (n,)
         Root mean square along the normal, the other constants refitted; nan where a
         simulation did not converge.
@@ -46,18 +46,18 @@ def profile_of(
     logarithms: FloatArray,
     window_mm: tuple[float, float] | None = None,
 ) -> Profile:
-    """Hold a constant at values on either side of the fitted one, and refit the others.
+    """Return the misfits with a constant held at given values and the others refitted.
 
     Parameters
     ----------
     candidate : Candidate
-        Fitted; its own contour is what is explained, so nothing but the constants differs.
+        The fitted candidate; its own contour is the data, so only the constants differ.
     fitted : FittedContour
-        Of it.
+        Contour of the candidate.
     name : str
-        Of the constant.
+        Name of the constant.
     logarithms : ndarray
-        Of the factors, ascending; zero is the fit itself.
+        Logarithms of the factors, ascending; zero is the fit itself.
     window_mm : tuple of float, optional
         As for `fitted_contour`.
     """
@@ -90,7 +90,7 @@ def _refitted(
     state: _State,
     window_mm: tuple[float, float] | None,
 ) -> _State | None:
-    """Hold a constant at a new value and refit the others, from their values before."""
+    """Hold a constant at a new value and refit the others, starting from their last values."""
     weight = np.sqrt(fitted.length_mm / fitted.length_mm.sum())
     best: _State | None = None
     for _ in range(1 + STEPS):

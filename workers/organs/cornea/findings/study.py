@@ -1,7 +1,7 @@
-"""What a fitted eye tells, and what it leaves open: numbers, sentences and charts for a report.
+"""Findings about a fitted eye and their limits: numbers, sentences and charts for a report.
 
 See `workers.organs.registry.Findings`. Numbers have units in their names; bounds are
-Cramer-Rao bounds, one standard deviation, relative.
+relative Cramer-Rao bounds, one standard deviation.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,14 +45,14 @@ from palpate.workers.organs.cornea.solver.sensitivity import Change, sensitivity
 from palpate.workers.organs.cornea.solver.thickness import thickness_change
 from palpate.workers.organs.cornea.spec import CorneaCase, CorneaScore, FindingsSpec
 
-# The curve is drawn from rest to this part beyond the largest stretch.
+# The curve is drawn from rest to this fraction beyond the largest stretch.
 BEYOND = 1.25
 CURVE_POINTS = 41
 # Factors at which a constant is held for its profile.
 PROFILE_LOGARITHMS = np.log([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
-# Logarithms of the constants before any image: a factor of e either way.
+# Prior standard deviation of the constants' logarithms: a factor of e either way.
 PRIOR_SD = 1.0
-# What was not measured together with the images, and by how much it may be wrong.
+# Quantities not measured together with the images, and their possible errors.
 ASSUMED = {
     "iop": ("iop_mpa", MPA_PER_MMHG, "1 mmHg more pressure of the eye"),
     "jet_pressure": ("jet_pressure_mpa", None, "1 % more pressure of the jet"),
@@ -69,20 +69,20 @@ def findings(
     body: Section | None = None,
     free: Sequence[FreeParameter] = (),
 ) -> dict[str, Any]:
-    """Return what the deformed section of a fitted eye says of its constants.
+    """Return the findings about the constants from the deformed section of a fitted eye.
 
     Parameters
     ----------
     model : MeshForModels
     case : CorneaCase
     constants : mapping of str to float
-        Of the best candidate, all of them, inside names and units.
+        All constants of the best candidate, in internal names and units.
     middle_mm : float
         See `workers.organs.cornea.problem.middle_of`.
     score : CorneaScore
-        Its window says what the image shows, its pixels how fine it is.
+        Its window is the part shown by the image, its pixels are the resolution.
     body : Section, optional
-        The undeformed section, for the error of the mesh.
+        The undeformed section, for the mesh error.
     free : sequence of FreeParameter
         The searched constants.
 
@@ -139,9 +139,9 @@ def figures(
     ----------
     spec : StudySpec
     bodies : sequence of Section or None
-        Undeformed, deformed, and as the best candidate has it.
+        Undeformed section, deformed section, and the best candidate's.
     findings : mapping
-        Of `findings`; may be empty. Each of ``derived`` may have an ``interval``.
+        The result of `findings`; may be empty. Each of ``derived`` may have an ``interval``.
     """
     for sentence, image in overlays(spec.case, spec.target, *bodies):
         yield image_figure(image), sentence
@@ -151,7 +151,7 @@ def figures(
 
 @dataclass(frozen=True, eq=False)
 class FittedEye:
-    """A candidate with its contour, and what that says of the constants."""
+    """A candidate with its contour, and the information about the constants."""
 
     candidate: Candidate
     contour: FittedContour
@@ -181,7 +181,7 @@ def _identified(eye: FittedEye, noise: ContourNoise) -> dict[str, Any]:
 def _pressures(
     eye: FittedEye, asked: FindingsSpec, noise: ContourNoise, score: CorneaScore
 ) -> dict[str, Any]:
-    """Return what several frames of one puff, or the present one several times, would tell."""
+    """Return the information of several frames of one puff, or of repeated present ones."""
     fractions = asked.jet_fractions
     several = information_of_pressures(eye.candidate, fractions, score.window_mm)
     repeated = eye.information.bounds(noise) / np.sqrt(len(fractions))
@@ -210,11 +210,11 @@ def _curve(eye: FittedEye, largest: float, noise: ContourNoise) -> dict[str, Any
 
 
 def _assumptions(eye: FittedEye, others: FloatArray, stretch: float) -> dict[str, Any]:
-    """Return the parts by which stiffness would change if what was assumed were wrong.
+    """Return the relative changes of stiffness if the assumptions were wrong.
 
-    Of G0, and of the stress at the stretch at which the image knows it best.
+    They refer to G0 and to the stress at the best-determined stretch.
 
-    The constants make good for it as far as they can, under `MODEL_ERROR` and `PRIOR_SD`.
+    The constants compensate as far as they can, under `MODEL_ERROR` and `PRIOR_SD`.
     """
     candidate, contour = eye.candidate, eye.contour
     weight = contour.length_mm / (MODEL_ERROR.correlation_mm * MODEL_ERROR.sd_um**2)

@@ -28,22 +28,22 @@ from palpate.workers.organs.cornea.section.shape import Bump, SectionShape, shap
 from palpate.workers.organs.cornea.spec import FrameSpec
 from palpate.workers.organs.study_checks import Finding
 
-# A cornea at rest is this close to a smooth curve; a frame of a Corvis is to 0.015 mm.
+# Largest deviation of a cornea at rest from a smooth curve; 0.015 mm in a Corvis frame.
 SMOOTH_MM = 0.08
-# Coloured pixels this close to a surface change where it is found.
+# Coloured pixels this close to a surface affect its segmentation.
 NEAR_SURFACE_MM = 0.15
-# Factors by which a picture may have been exported, the likeliest first.
+# Factors by which a picture may have been exported, the most probable first.
 FACTORS = (1.0, 2.0, 0.5, 4.0, 0.25, 3.0, 1 / 3, 10.0, 0.1)
 
 
 @dataclass(frozen=True)
 class Imaged:
-    """A frame with the section that was found in it.
+    """A frame and the section segmented in it.
 
     Parameters
     ----------
     key : str
-        Where the study file names it.
+        Key of the frame in the study file.
     file : Path
     spec : FrameSpec
     section : Section
@@ -61,7 +61,7 @@ class Imaged:
 
     @cached_property
     def picture(self) -> FloatArray | None:
-        """Return the picture; None where the file is on another machine."""
+        """Return the picture; None if the file is on another machine."""
         return read_picture(self.file) if self.file.is_file() else None
 
     @property
@@ -71,7 +71,7 @@ class Imaged:
 
     @property
     def causes(self) -> str:
-        """Return what in the picture may have misled the segmentation."""
+        """Return the parts of the picture that may have misled the segmentation."""
         return "" if self.picture is None else likely_causes(self.picture)
 
     def pixel_at(self, surface_mm: FloatArray, x_mm: float) -> str:
@@ -116,7 +116,7 @@ def _colours(frame: Imaged) -> Iterator[Finding]:
 
 
 def _near_surfaces(frame: Imaged, shape: tuple[int, ...]) -> BoolArray:
-    """Return which pixels are in the cornea as it appears, or close to it."""
+    """Return a mask of the pixels in or near the cornea as it appears."""
     spec, section = frame.spec, frame.section
     raster = Frame(np.zeros(shape), spec.pixel_mm, spec.first_pixel)
     mask = np.zeros(shape, np.bool_)
@@ -163,10 +163,10 @@ def _sizes(frame: Imaged, ranges: tuple[Range | None, Range, Range]) -> Iterator
 
 
 def _likely_scale(frame: Imaged, ranges: tuple[Range | None, Range, Range]) -> str:
-    """Return what would make the measures fit: another scale, or the correction for refraction."""
+    """Return a correction that would make the measures fit: a scale, or refraction."""
     shape, (width, height) = frame.shape, frame.spec.pixel_mm
     radius, thick, wide = ranges
-    # Without the radius nothing tells a picture stretched along one axis from another cornea.
+    # Without the radius, a picture stretched along one axis looks like another cornea.
     stretched = radius is not None and shape.radius_mm not in radius
     pairs = product(FACTORS, FACTORS) if stretched else zip(FACTORS, FACTORS, strict=True)
     for across, down in sorted(pairs, key=_unlikely):
@@ -183,13 +183,13 @@ def _likely_scale(frame: Imaged, ranges: tuple[Range | None, Range, Range]) -> s
             )
     if frame.spec.refraction is None and shape.central_thickness_mm < thick.least:
         return (
-            " With refraction: null the posterior surface stays where it appears; take the line "
-            "out unless the device has corrected it."
+            " With refraction: null the posterior surface is left where it appears; remove that "
+            "line unless the device has corrected it."
         )
     if frame.spec.refraction is not None and shape.central_thickness_mm > thick.most:
         return (
-            " If the device has corrected the posterior surface already, set refraction: null; "
-            "else check pixel_mm and the picture."
+            " If the device has already corrected the posterior surface, set refraction: null; "
+            "otherwise check pixel_mm and the picture."
         )
     return " Check pixel_mm, and whether the picture shows the whole frame."
 

@@ -1,4 +1,4 @@
-"""A grey image of a cornea with the size of its pixels."""
+"""A greyscale image of a cornea with the size of its pixels."""
 
 from dataclasses import dataclass
 
@@ -10,25 +10,25 @@ from palpate.storage.values import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One image of a corneal section, such as a tonometer takes of an air puff.
+    """One image of a corneal section, such as those taken by a tonometer during an air puff.
 
-    The centre of the pixel ``grey[row, column]`` lies at x = (column + first column) * spacing x,
+    The centre of the pixel ``grey[row, column]`` is at x = (column + first column) * spacing x,
     y = -(row + first row) * spacing y: x to the right, y upwards, which is out of the eye.
 
     Parameters
     ----------
     grey : ndarray, shape (rows, columns)
-        Grey values; the cornea is brighter than what lies above and below it.
+        Grey values; the cornea is brighter than its surroundings above and below.
     spacing_mm : tuple of float
-        Width and height of a pixel; > 0, and not the same on a Corvis.
+        Width and height of a pixel; > 0, and different on a Corvis.
     first_pixel : tuple of float
-        Column and row of the first pixel in the raster of the camera, which all frames of a
-        sequence share, where this one has been cut.
+        Column and row of the first pixel in the raster of the camera, shared by all frames of a
+        sequence, if this frame has been cropped.
 
     Raises
     ------
     InputError
-        If the image is not a grey one of 16 x 16 pixels or more, holds numbers that are not
+        If the image is not a greyscale one of at least 16 x 16 pixels, has values that are not
         finite, or a spacing is not positive.
     """
 
@@ -43,18 +43,18 @@ class Frame:
                 f"{self.grey.shape}."
             )
         if not np.isfinite(self.grey).all():
-            raise InputError("The frame of the cornea holds grey values that are not finite.")
+            raise InputError("The frame of the cornea has grey values that are not finite.")
         if not all(np.isfinite(s) and s > 0 for s in self.spacing_mm):
             raise InputError(
                 f"The pixels of a frame need a positive width and height, got {self.spacing_mm} mm."
             )
 
     def to_mm(self, columns: FloatArray, rows: FloatArray) -> FloatArray:
-        """Return the points (x, y) in mm of positions in pixels of this image."""
+        """Return the points (x, y) in mm for positions in pixels of this image."""
         pixels = np.column_stack([columns, rows]) + self.first_pixel
         return np.asarray(pixels * [self.spacing_mm[0], -self.spacing_mm[1]])
 
     def to_pixels(self, points_mm: FloatArray) -> FloatArray:
-        """Return the positions (column, row) in pixels of this image of points in mm."""
+        """Return the positions (column, row) in pixels of this image for points in mm."""
         pixels = points_mm / [self.spacing_mm[0], -self.spacing_mm[1]]
         return np.asarray(pixels - self.first_pixel)

@@ -1,4 +1,4 @@
-"""A section from an image file: read, segmented, corrected for refraction."""
+"""A section from an image file: read, segmented and corrected for refraction."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from palpate.workers.organs.cornea.section.refraction import corrected_posterior
 from palpate.workers.organs.cornea.section.shape import shape_of
 from palpate.workers.organs.cornea.spec import FrameSpec
 
-# Enlargements of a picture that are tried where no cornea is seen in it.
+# Scales that are tried on a picture in which no cornea is found.
 EXPORTED = (2, 3, 4)
 
 
@@ -26,8 +26,8 @@ def imaged_section(spec: FrameSpec) -> Section:
     Raises
     ------
     InputError
-        If the file is no image, no cornea is seen in it, or its surfaces cross; with its name and
-        what in the picture is a likely cause.
+        If the file is not an image, no cornea is found in it, or its surfaces cross; with the
+        file's name and likely causes in the picture.
     """
     path = Path(spec.file)
     frame = read_frame(path, spec.pixel_mm, spec.first_pixel)
@@ -51,7 +51,7 @@ def _section(frame: Frame, spec: FrameSpec) -> Section:
 
 
 def _remedy(frame: Frame, spec: FrameSpec) -> str:
-    """Return a sentence if there is a cornea in the picture turned, or in smaller pixels."""
+    """Return advice if a cornea is found in the rotated picture, or with smaller pixels."""
     across, down = frame.spacing_mm
     if _shows_cornea(Frame(np.rot90(frame.grey), (down, across)), spec):
         return " A cornea is seen if the picture is turned by 90 degrees: turn the file."

@@ -10,7 +10,7 @@ from palpate.workers.organs.cornea.frames.frame import Frame
 from palpate.workers.organs.cornea.section.polyline import arclength_mm, points_at
 
 Colour = tuple[int, int, int]
-# The brightest part of the pixels is cut off, so that a reflex leaves the tissue visible.
+# The brightest pixels are clipped, so that tissue stays visible next to a reflex.
 WHITE_PERCENTILE = 99.8
 
 
@@ -24,9 +24,9 @@ def overlay(
     frame : Frame
     contours : sequence of (ndarray, colour)
         Polylines (n, 2) in mm in the coordinates of the frame, with red, green and blue from
-        0 to 255; later ones lie on top. Parts outside the image are left out.
+        0 to 255; later ones are on top. Parts outside the image are not drawn.
     width_px : float
-        Of the lines; > 0.
+        Width of the lines; > 0.
 
     Returns
     -------
@@ -42,7 +42,7 @@ def overlay(
 
 
 def _coverage(line: FloatArray, shape: tuple[int, ...], width: float) -> FloatArray:
-    """Return how much of each pixel a line covers, 0 to 1, from its nearest sample."""
+    """Return the fraction of each pixel covered by a line, from its nearest sample."""
     length = float(arclength_mm(line)[-1])
     dense = points_at(line, np.linspace(0.0, length, int(np.ceil(4 * length)) + 1))
     cover = np.zeros(shape)

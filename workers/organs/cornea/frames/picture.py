@@ -1,4 +1,4 @@
-"""Pictures of a cornea as files hold them, and what in them is no cornea."""
+"""Pictures of a cornea read from files, and detection of artefacts in them."""
 
 import warnings
 from collections.abc import Iterator
@@ -16,14 +16,14 @@ from palpate.storage.values import FloatArray
 from palpate.workers.input_files import check_regular, reason_of
 
 MOST_PIXELS = 25_000_000
-# Difference of the channels, as a part of full brightness, from which a pixel has a colour.
+# Difference of the channels, relative to full brightness, from which a pixel counts as coloured.
 COLOURED_FROM = 0.18
-# Fewer coloured pixels than this, and than this part of the picture, are dirt of a compression.
+# Fewer coloured pixels, absolutely and as a fraction of the picture, are compression artefacts.
 FEWEST_COLOURED = 20
 LEAST_COLOURED_PART = 1e-4
-# From this part on the whole picture is in colours.
+# From this fraction on the whole picture counts as coloured.
 FALSE_COLOURS_FROM = 0.2
-# A spot at full brightness counts from this part of the picture, an edge from this many columns.
+# Smallest bright spot, as a fraction of the picture, and smallest bright edge, in columns.
 LEAST_SPOT_PART = 5e-4
 FULL_BRIGHTNESS = 0.98
 LEAST_EDGE_PART = 0.05
@@ -31,7 +31,7 @@ LEAST_EDGE_PART = 0.05
 
 @dataclass(frozen=True)
 class Box:
-    """A part of a picture, first and last pixel included."""
+    """A part of a picture, including its first and last pixels."""
 
     columns: tuple[int, int]
     rows: tuple[int, int]
@@ -42,9 +42,9 @@ class Box:
 
 
 def read_picture(path: Path) -> FloatArray:
-    """Return the picture in a file (PNG, TIFF, JPEG, BMP), turned as its EXIF orientation says.
+    """Return the picture in a file (PNG, TIFF, JPEG, BMP), rotated by its EXIF orientation.
 
-    Transparency is left out.
+    Transparency is ignored.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def read_picture(path: Path) -> FloatArray:
     Raises
     ------
     InputError
-        If the file is missing, is not an image, or holds several.
+        If the file is missing, is not an image, or has several.
     """
     if not path.is_file():
         raise InputError(f"There is no image {path}. Give the path of a frame of the cornea.")
@@ -83,16 +83,16 @@ def read_picture(path: Path) -> FloatArray:
         ) from error
     if count > 1:
         raise InputError(
-            f"{path} holds {count} images, and a frame is one. Save the frame before the puff and "
-            "the one under it as a file each."
+            f"{path} has {count} images; expected one. Save the frame before the puff and the one "
+            "under it as separate files."
         )
     return values
 
 
 def coloured_pixels(picture: FloatArray) -> NDArray[np.bool_]:
-    """Return which pixels of a picture have a colour that its other pixels do not have.
+    """Return a mask of the pixels with a colour that the other pixels do not have.
 
-    A picture that is tinted as a whole has none.
+    A uniformly tinted picture has none.
 
     Parameters
     ----------
@@ -109,20 +109,20 @@ def coloured_pixels(picture: FloatArray) -> NDArray[np.bool_]:
 
 
 def full_scale(picture: FloatArray) -> float:
-    """Return the grey value of white: 255, or the largest one where there are larger ones."""
+    """Return the grey value of white: 255, or the largest value if that is larger."""
     return max(255.0, float(picture.max()))
 
 
 def box_of(mask: NDArray[np.bool_]) -> Box:
-    """Return the part of a picture in which a mask has pixels; it has some."""
+    """Return the bounding box of a mask that is not empty."""
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     return Box((int(columns[0]), int(columns[-1])), (int(rows[0]), int(rows[-1])))
 
 
 def likely_causes(picture: FloatArray) -> str:
-    """Return what in a picture may have been taken for a cornea; empty if nothing is found.
+    """Return the parts of a picture that may have been mistaken for a cornea, or an empty text.
 
-    As the end of a message, with a space before it.
+    The text is the end of a message and starts with a space.
     """
     found = [*_colours(picture), *_spots(picture), *_top(picture)]
     return f" Found in the picture: {'; '.join(found)}." if found else ""

@@ -1,4 +1,4 @@
-"""Frames with the surfaces that were found, expected and explained drawn on them."""
+"""Frames with the segmented, expected and fitted surfaces drawn on them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ FOUND: Colour = (230, 60, 50)
 CARRIED: Colour = (90, 190, 240)
 EXPLAINED: Colour = (240, 180, 30)
 LINE_PX = 2.0
-# Of the periphery on each side that only the whole eye moves.
+# Width of the periphery on each side, which moves only with the whole eye.
 OUTER_MM = 1.0
 
 Described = tuple[str, NDArray[np.uint8]]
@@ -30,23 +30,23 @@ def overlays(
     deformed: Section | None,
     explained: Section | None,
 ) -> list[Described]:
-    """Return each frame that is still there with its contours, and a sentence for it.
+    """Return each available frame with its contours, and a sentence for it.
 
     Parameters
     ----------
     case, target : CorneaCase, CorneaTarget
-        Which say where the frames lie.
+        Provide the locations of the frames.
     undeformed, deformed, explained : Section or None
-        As segmented before and under the jet, and as the best candidate has it.
+        As segmented before and under the jet, and as fitted by the best candidate.
     """
     drawn = []
     if case.reference.frame is not None and undeformed is not None:
-        sentence = "Before the puff, with both surfaces as they were found"
+        sentence = "Before the puff, with both surfaces as segmented"
         sentence += _refracted(case.reference.frame)
         drawn += _drawn(case.reference.frame, sentence, [(undeformed, FOUND)])
     if target.frame is not None and deformed is not None:
         shown = [(deformed, FOUND)]
-        sentence = "Under the puff: as found (red)"
+        sentence = "Under the puff: as segmented (red)"
         if undeformed is not None:
             moved, words = _carried(undeformed, deformed)
             shown, sentence = [(moved, CARRIED), *shown], sentence + words
@@ -76,11 +76,11 @@ def _refracted(spec: FrameSpec) -> str:
 
 
 def _carried(undeformed: Section, deformed: Section) -> tuple[Section, str]:
-    """Return the undeformed section where its periphery says that the eye went."""
+    """Return the undeformed section moved with the eye, as determined from its periphery."""
     try:
         found = register_periphery(undeformed, deformed, OUTER_MM)
     except InputError:
         return undeformed, ", before the puff (blue)"
     y, tilt = found.motion.shift_mm[1], float(np.degrees(found.motion.tilt_rad))
-    words = f", before the puff and carried by the eye (blue): {y:+.3f} mm along y, {tilt:+.2f}°"
+    words = f", before the puff and moved with the eye (blue): {y:+.3f} mm along y, {tilt:+.2f}°"
     return found.motion.of_section(undeformed), words

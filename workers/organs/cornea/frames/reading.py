@@ -1,4 +1,4 @@
-"""Grey images of a cornea from files."""
+"""Greyscale images of a cornea from files."""
 
 from pathlib import Path
 
@@ -11,15 +11,15 @@ def read_frame(
 ) -> Frame:
     """Return the frame in an image file (PNG, TIFF, JPEG, BMP).
 
-    It is turned as its EXIF orientation says. Colours are averaged and transparency is left out.
+    It is rotated by its EXIF orientation. Colours are averaged and transparency is ignored.
 
     Parameters
     ----------
     path : Path
     spacing_mm : tuple of float
-        Width and height of a pixel of the picture as it is seen.
+        Width and height of a pixel of the rotated picture.
     first_pixel : tuple of float
-        Column and row of the first pixel in the raster that all frames share.
+        Column and row of the first pixel in the raster shared by all frames.
 
     Returns
     -------
@@ -28,7 +28,7 @@ def read_frame(
     Raises
     ------
     InputError
-        If the file is missing, not an image, or holds several, or `Frame` refuses it.
+        If the file is missing, not an image, or has several, or `Frame` refuses it.
     """
     grey = read_picture(path)
     if grey.ndim == 3:

@@ -9,23 +9,23 @@ from palpate.storage.values import FloatArray
 from palpate.workers.organs.cornea.section.outline import Section
 from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
 
-# Errors of a segmented surface are alike over about this length.
+# Errors of a segmented surface are correlated over about this length.
 CORRELATION_MM = 0.5
 
 
 @dataclass(frozen=True)
 class Registration:
-    """How the eye moved from the undeformed to the deformed frame.
+    """The motion of the eye from the undeformed to the deformed frame.
 
     Parameters
     ----------
     motion : RigidMotion
-        Takes the undeformed periphery to the deformed one.
+        Maps the undeformed periphery to the deformed one.
     rms_mm : float
-        What remains between the two peripheries, along the normal.
+        Remaining distance between the two peripheries, along the normal.
     sd_y_mm, sd_tilt_rad : float
-        Standard deviations of shift and tilt, if what remains is noise that is alike over
-        half a millimetre.
+        Standard deviations of shift and tilt, if the remaining distance is noise that is
+        correlated over half a millimetre.
     """
 
     motion: RigidMotion
@@ -37,18 +37,18 @@ class Registration:
 def register_periphery(
     undeformed: Section, deformed: Section, outer_mm: float = 1.5, shift_x_mm: float = 0.0
 ) -> Registration:
-    """Return the rigid motion that carries the periphery of a cornea to its deformed place.
+    """Return the rigid motion of a cornea's periphery between two frames.
 
-    Least squares of the distances along the normal between both surfaces, over the outer
-    part of the section on both sides. Shift along y and tilt are fitted; the shift along x
-    is given, because turning a circular arc about its own centre changes nothing, so x and
-    tilt cannot be told apart. What the jet bends in the periphery counts as motion: look at
-    `rms_mm`, and prefer a wide frame and a small `outer_mm`.
+    Least squares of the distances along the normal between both surfaces, over the outer part of
+    the section on both sides. Shift along y and tilt are fitted; the shift along x is given,
+    because a circular arc does not change when rotated about its centre, so x and tilt cannot be
+    distinguished. Bending of the periphery by the jet counts as motion: check `rms_mm`, and
+    prefer a wide frame and a small `outer_mm`.
 
     Parameters
     ----------
     undeformed, deformed : Section
-        In one frame of reference; both surfaces graphs over x.
+        In one coordinate system; both surfaces are functions of x.
     outer_mm : float
         Width of the periphery on each side; > 0.
     shift_x_mm : float
@@ -110,13 +110,13 @@ def _distances(
     outer: float,
     centre: tuple[float, float],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return normal distances of peripheral points, and their change with y and tilt."""
+    """Return normal distances of peripheral points, and their derivatives by y and tilt."""
     x = moved[:, 0]
     inside = (x >= common[0]) & (x <= common[1])
     points = moved[inside & ((x < common[0] + outer) | (x > common[1] - outer))]
     slope = np.interp(points[:, 0], target[:, 0], np.gradient(target[:, 1], target[:, 0]))
     cosine = 1 / np.hypot(1, slope)
     gap = points[:, 1] - np.interp(points[:, 0], target[:, 0], target[:, 1])
-    # A turn moves a point by (-(y - yc), x - xc) a radian.
+    # A rotation moves a point by (-(y - yc), x - xc) per radian.
     turn = (points[:, 0] - centre[0]) + slope * (points[:, 1] - centre[1])
     return gap * cosine, np.column_stack([cosine, turn * cosine])

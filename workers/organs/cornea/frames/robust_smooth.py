@@ -1,4 +1,4 @@
-"""A smooth curve through uncertain values with gaps."""
+"""Robust smoothing of uncertain values with gaps."""
 
 import numpy as np
 from scipy.linalg import solveh_banded
@@ -12,23 +12,23 @@ TUKEY = 4.685
 def robust_smooth(
     values: FloatArray, weights: FloatArray, wavelength: float, rounds: int = 8
 ) -> FloatArray:
-    r"""Return the curve that balances closeness and smoothness, without outliers.
+    r"""Return a smooth curve through values, ignoring outliers.
 
     Minimises :math:`\sum w_i (z_i - v_i)^2 + \lambda \sum (\Delta^3 z_i)^2` (E. Whittaker,
     1923; P. Eilers, Anal. Chem. 75, 2003), reweighted by Tukey's biweight of the residuals.
-    A wave of the given length is halved: :math:`\lambda = (2 \sin(\pi / l))^{-6}`; of one
-    three times as long, 0.1 % is lost. Gaps are bridged by parabolas.
+    A wave of the given length is halved: :math:`\lambda = (2 \sin(\pi / l))^{-6}`; a wave three
+    times as long loses 0.1 %. Gaps are bridged by parabolas.
 
     Parameters
     ----------
     values : ndarray, shape (n,)
-        At equal steps; not finite counts as weight zero.
+        At equal steps; values that are not finite have weight zero.
     weights : ndarray, shape (n,)
         >= 0.
     wavelength : float
         In steps; > 2.
     rounds : int
-        Of reweighting.
+        Number of reweightings.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def robust_smooth(
     smooth = values
     for _ in range(rounds):
         banded = penalty.copy()
-        # A trace of weight keeps the matrix positive where nearly everything is a gap.
+        # A small weight keeps the matrix positive definite even if nearly everything is a gap.
         banded[-1] += weight + 1e-12
         smooth = solveh_banded(banded, weight * values)
         residual = values - smooth

@@ -14,24 +14,24 @@ from palpate.workers.organs.cornea.frames.robust_smooth import robust_smooth
 from palpate.workers.organs.cornea.frames.surface_path import best_path
 from palpate.workers.organs.cornea.section.outline import Section
 
-# Standard deviation of the derivative filter across a surface, and of the mean along it.
+# Standard deviation of the derivative filter across a surface, and of the average along it.
 EDGE_MM = 0.016
 ALONG_MM = 0.06
-# Waves shorter than this are halved on a surface; the dent of an air puff is 4 mm wide. The
-# posterior edge is the fainter one.
+# Shorter waves of a surface are damped by half or more; the dent of an air puff is 4 mm wide. The
+# posterior edge is fainter.
 ANTERIOR_WAVE_MM = 0.5
 POSTERIOR_WAVE_MM = 0.8
-# Vertical distance of the surfaces, uncorrected for refraction and slope.
+# Vertical distance between the surfaces, not corrected for refraction and slope.
 THICKNESS_MM = (0.15, 1.3)
-# How far from its first path a surface is looked for again.
+# Distance from its first path within which a surface is searched again.
 REFINE_MM = 0.06
-# Half the width over which the flank of an edge is averaged, in deviations of the filter.
+# Half width over which the flank of an edge is averaged, in standard deviations of the filter.
 FLANK_SIGMA = 3.0
-# A column counts where the tissue stands out of the background by so many standard
-# deviations of the pixel noise and by this part of the typical contrast.
+# A column counts if the tissue exceeds the background by this many standard deviations of the
+# pixel noise and by this fraction of the typical contrast.
 MIN_CONTRAST_NOISE = 2.0
 MIN_CONTRAST_PART = 0.25
-# Part of the columns where both surfaces must be seen.
+# Fraction of the columns in which both surfaces must be visible.
 MIN_SEEN = 0.6
 
 
@@ -43,9 +43,9 @@ class SegmentedFrame:
     ----------
     frame : Frame
     columns : ndarray, shape (k,)
-        Neighbouring columns from the first to the last one where both surfaces were seen.
+        Contiguous columns from the first to the last one in which both surfaces are visible.
     anterior_row, posterior_row : ndarray, shape (k,)
-        Row of the surface, not whole.
+        Row of the surface, with fractions.
     anterior_confidence, posterior_confidence : ndarray, shape (k,)
         0 where the surface is bridged over a gap or a reflex, 1 where it is as sharp as
         typical in this image.
@@ -69,7 +69,7 @@ class SegmentedFrame:
 
     @property
     def posterior_mm(self) -> FloatArray:
-        """Return the posterior surface as it appears, in the frame's coordinates, shape (k, 2)."""
+        """Return the apparent posterior surface in the frame's coordinates, shape (k, 2)."""
         return self.frame.to_mm(self.columns, self.posterior_row)
 
     @property
@@ -89,12 +89,12 @@ class SegmentedFrame:
 
 @dataclass(frozen=True)
 class _Levels:
-    """Grey values of an image: darkness, tissue above it, pixel noise; pixels a length."""
+    """Grey values of an image: background, contrast of the tissue, noise; pixels per mm."""
 
     background: float
     contrast: float
     noise: float
-    pixels: tuple[float, float]  # a millimetre along x and y
+    pixels: tuple[float, float]  # per millimetre along x and y
 
     def down(self, mm: float, least: int = 1) -> int:
         return max(least, round(mm * self.pixels[1]))
@@ -103,19 +103,19 @@ class _Levels:
 def segment_frame(frame: Frame) -> SegmentedFrame:
     """Return the two surfaces of the cornea in an image, to a fraction of a pixel.
 
-    1. The anterior surface is the path from left to right along which dark turns to bright
-       downwards, with darkness above and tissue below; the posterior one the path below it
-       where bright turns to dark. Both are found by dynamic programming, so gaps and
-       reflexes are crossed.
-    2. Each is refined in the image that has been straightened along its path and averaged
-       along it: the anterior one where the grey value changes fastest, the posterior one in
-       the middle of its fall.
-    3. A robust smooth curve is laid through the columns, weighted by how clear the edge is.
+    1. The anterior surface is the path from left to right along which the image changes from
+       dark to bright downwards, with darkness above and tissue below; the posterior one is the
+       path below it with the change from bright to dark. Both are found by dynamic programming,
+       which crosses gaps and reflexes.
+    2. Each is refined in an image straightened along its path and averaged along it: the
+       anterior one at the steepest grey value, the posterior one at the centre of its flank.
+    3. A robust smooth curve is fitted through the columns, weighted by the clarity of the edge.
 
     Parameters
     ----------
     frame : Frame
-        The whole width of the image should hold cornea; it may be missing near the sides.
+        The cornea should extend over the whole width of the image; gaps near the sides are
+        allowed.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def segment_frame(frame: Frame) -> SegmentedFrame:
     thickness = (posterior.row - anterior.row) * frame.spacing_mm[1]
     if not (np.all(thickness > 0) and np.median(thickness) < THICKNESS_MM[1]):
         raise InputError(
-            "The bright band in the image is no cornea: its two edges meet or are "
+            "The bright band in the image is not a cornea: its two edges meet or are "
             f"{np.median(thickness):.2f} mm apart. {_ADVICE}"
         )
     return SegmentedFrame(
@@ -188,7 +188,7 @@ def _levels(frame: Frame) -> _Levels:
     soft = gaussian_filter(grey, 2.0)
     bright = soft > threshold_otsu(soft)
     background = float(np.median(grey[~bright]))
-    # Second differences along rows are free of the image's own slopes: variance 6 sigma^2.
+    # Second differences along rows are insensitive to slopes in the image: variance 6 sigma^2.
     rough = np.diff(grey, n=2, axis=1)[~bright[:, 1:-1]]
     return _Levels(
         background=background,
@@ -199,7 +199,7 @@ def _levels(frame: Frame) -> _Levels:
 
 
 def _strip(image: FloatArray, begin: int, end: int) -> FloatArray:
-    """Return the mean of the rows from `begin` to before `end` below each pixel."""
+    """Return the mean of the rows `begin` to `end` (exclusive) below each pixel."""
     length = end - begin
     mean = uniform_filter1d(image, length, axis=0, mode="nearest", origin=0)
     shift = begin + length // 2
@@ -208,7 +208,7 @@ def _strip(image: FloatArray, begin: int, end: int) -> FloatArray:
 
 
 def _part(image: FloatArray, levels: _Levels) -> FloatArray:
-    """Return how bright an image is: 0 the background, 1 the typical tissue or more."""
+    """Return the relative brightness: 0 for the background, 1 for typical tissue or brighter."""
     return np.clip((image - levels.background) / levels.contrast, 0.0, 1.0)
 
 
@@ -218,7 +218,7 @@ def _smoothed(grey: FloatArray, levels: _Levels) -> FloatArray:
 
 
 def _slope_gain(slope: FloatArray) -> FloatArray:
-    """Return slopes as parts of half the typical largest one of a column, 0 to 1."""
+    """Return slopes relative to half the typical largest slope of a column, 0 to 1."""
     typical = 0.5 * float(np.median(slope.max(axis=0)))
     return np.clip(slope / max(typical, 1e-12), 0.0, 1.0)
 
@@ -239,7 +239,7 @@ def _posterior_path(grey: FloatArray, anterior: FloatArray, levels: _Levels) -> 
     farthest = levels.down(THICKNESS_MM[1])
     tall = _straightened(grey, anterior, 0, farthest + levels.down(0.3), levels.background)
     soft = _smoothed(tall, levels)
-    # Each column against its own tissue, as the light falls off towards the limbus.
+    # Each column is compared with its own tissue, since the light fades towards the limbus.
     tissue = np.median(soft[levels.down(0.08) : levels.down(0.2) + 2], axis=0)
     tissue = gaussian_filter1d(tissue, max(1.0, 0.2 * levels.pixels[0])) - levels.background
     soft = (soft - levels.background) / np.maximum(tissue, 0.1 * levels.contrast)
@@ -256,7 +256,7 @@ def _posterior_path(grey: FloatArray, anterior: FloatArray, levels: _Levels) -> 
 def _straightened(
     grey: FloatArray, path: FloatArray, begin: int, end: int, outside: float
 ) -> FloatArray:
-    """Return the rows from `begin` to before `end` below a path, shape (end - begin, k)."""
+    """Return the rows `begin` to `end` (exclusive) below a path, shape (end - begin, k)."""
     rows = path + np.arange(begin, end)[:, None]
     columns = np.broadcast_to(np.arange(len(path)), rows.shape)
     return np.asarray(
@@ -294,10 +294,10 @@ def _refined(
 
 
 def _steepest(slope: FloatArray) -> FloatArray:
-    """Return the place of the largest slope of each column, by a parabola through three.
+    """Return the position of the largest slope of each column, by a parabola through three.
 
-    The bright ridge below the anterior surface pulls it out by a quarter of a pixel of the
-    camera, half as much as the centre of the flank.
+    The bright ridge below the anterior surface shifts it outwards by a quarter of a camera
+    pixel, half as much as the centre of the flank.
     """
     peak = np.clip(np.argmax(slope, axis=0), 1, len(slope) - 2)
     before, top, after = (slope[peak + k, np.arange(slope.shape[1])] for k in (-1, 0, 1))
@@ -308,8 +308,8 @@ def _steepest(slope: FloatArray) -> FloatArray:
 def _flank_centre(slope: FloatArray, sigma: float) -> FloatArray:
     """Return the centre of the slopes near the largest one of each column.
 
-    The posterior edge is faint and blurred over many pixels; there the centre scatters less
-    than the steepest place.
+    The posterior edge is faint and blurred over many pixels, so the centre scatters less than
+    the steepest position.
     """
     place = np.arange(len(slope))[:, None]
     near = np.abs(place - np.argmax(slope, axis=0)) <= FLANK_SIGMA * sigma + 1
@@ -320,7 +320,7 @@ def _flank_centre(slope: FloatArray, sigma: float) -> FloatArray:
 def _edge_offset(
     grey: FloatArray, row: FloatArray, levels: _Levels, sign: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where the edge lies below a curve, in pixels, and how clear it is, 0 to 1."""
+    """Return the offset of the edge below a curve, in pixels, and its clarity, 0 to 1."""
     reach = levels.down(REFINE_MM, least=3)
     side = levels.down(0.15, least=4)
     tall = _straightened(grey, row, -reach - side, reach + side + 1, levels.background)

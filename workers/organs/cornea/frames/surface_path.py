@@ -1,4 +1,4 @@
-"""The path through an image that collects most on its way from left to right."""
+"""The left-to-right path through an image with the largest gain."""
 
 import numpy as np
 from numba import njit
@@ -7,18 +7,18 @@ from palpate.storage.values import FloatArray, IntArray
 
 
 def best_path(gain: FloatArray, steepest: int, bend: float) -> IntArray:
-    """Return one row a column so that the sum of the gains is largest.
+    """Return the row in each column of the path with the largest sum of gains.
 
-    Dynamic programming from column to column, exact.
+    The solution by dynamic programming is exact.
 
     Parameters
     ----------
     gain : ndarray, shape (rows, columns)
-        ``-inf`` where the path may not go.
+        ``-inf`` where the path is not allowed.
     steepest : int
-        Rows by which neighbouring columns may differ; >= 1.
+        Largest difference of rows between neighbouring columns; >= 1.
     bend : float
-        Loss for each row of difference.
+        Penalty per row of difference.
 
     Returns
     -------

@@ -15,7 +15,7 @@ DEFAULT_BULK_MPA = 10.0  # K_i = 1e7 Pa, thesis section 5.3
 
 
 class OgdenLaw(NamedTuple):
-    """Constants as the compiled loops take them.
+    """Constants in the form used by compiled loops.
 
     Parameters
     ----------
@@ -23,8 +23,8 @@ class OgdenLaw(NamedTuple):
         Factor and power of each term of ``tau_a = sum_i m_i (q_a - mean q)``.
     bulk_mpa : float
     plane_stress_ratio : float
-        ``- ln(lambda_3) / (ln(lambda_1) + ln(lambda_2))`` of a small strain in plane
-        stress, where the search for the thickness begins.
+        ``- ln(lambda_3) / (ln(lambda_1) + ln(lambda_2))`` for a small strain in plane stress,
+        the initial guess of the thickness.
     """
 
     modulus_mpa: FloatArray
@@ -52,7 +52,7 @@ class CorneaConstants:
     Parameters
     ----------
     mu_mpa, alpha : tuple of float
-        One of each per term.
+        One value of each per term.
     bulk_mpa : float
         K, the same for all N powers of J - 1.
     convention : {"mu/alpha", "2mu/alpha^2", "mu/alpha^2"}
@@ -113,7 +113,7 @@ class CorneaConstants:
         return sum(m * a for m, a in zip(self.moduli_mpa, self.alpha, strict=True)) / 2
 
     def law(self) -> OgdenLaw:
-        """Return the constants as the compiled loops take them."""
+        """Return the constants in the form used by compiled loops."""
         lame = self.bulk_mpa - 2 / 3 * self.shear_modulus_mpa
         return OgdenLaw(
             np.array(self.moduli_mpa, dtype=float),

@@ -1,4 +1,4 @@
-"""What acts on a cornea: the pressure of the eye, an air jet, and motion of the eye."""
+"""Loads on a cornea: intraocular pressure, an air jet, and motion of the eye."""
 
 import math
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ MPA_PER_MMHG = 1.33322387e-4
 class JetProfile:
     """Pressure of an air jet over the distance from its centre.
 
-    Linear between the points, constant within the first, none beyond the last.
+    Linear between the points, constant before the first, zero beyond the last.
 
     Parameters
     ----------
     r_mm : tuple of float
-        Ascending, none negative, the last positive.
+        Ascending and not negative, the last positive.
     fraction : tuple of float
-        Of the jet's pressure, none negative.
+        Fractions of the jet's pressure, not negative.
 
     Raises
     ------
     InputError
-        If the table is empty, of uneven length, not ascending, or holds a negative number.
+        If the table is empty, of uneven length, not ascending, or has a negative number.
     """
 
     r_mm: tuple[float, ...]
@@ -57,28 +57,28 @@ class JetProfile:
 
 @dataclass(frozen=True, slots=True)
 class CorneaLoad:
-    """Pressures on the two surfaces, and how the whole eye moves under the jet.
+    """Pressures on the two surfaces, and the motion of the whole eye under the jet.
 
-    The jet acts on the part of the anterior surface that stood under it in the image of
-    the undeformed cornea, and follows its normal.
+    The jet acts on the part of the anterior surface that is under it in the image of the
+    undeformed cornea, and follows the normal.
 
     Parameters
     ----------
     iop_mpa : float
         Intraocular pressure, present in the image of the undeformed cornea.
     jet_pressure_mpa : float
-        15 kPa by default. The thesis prints 15 mmHg, with which no cornea turns concave;
-        15 kPa = 112.5 mmHg gives the 1 mm that its images show.
+        15 kPa by default. The thesis prints 15 mmHg, at which no cornea becomes concave;
+        15 kPa = 112.5 mmHg gives the 1 mm seen in its images.
     jet_centre_mm : float
         Position x of the axis of the jet.
     jet_diameter_mm : float
-        Of a jet of uniform pressure.
+        Diameter of a uniform jet.
     jet_profile : JetProfile, optional
-        Takes the place of the uniform jet and of its diameter.
+        Replaces the uniform jet and its diameter.
     jet_width_factor : float
-        Widens the jet, uniform or not.
+        Factor of the jet's width, whether uniform or not.
     iop_rise_mpa : float
-        What the jet adds to the pressure in the eye.
+        Increase of the intraocular pressure by the jet.
     eye_shift_mm : tuple of float
         Motion (x, y) of the limbus under the jet.
     eye_tilt_rad : float

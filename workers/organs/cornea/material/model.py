@@ -1,4 +1,4 @@
-"""How a section of a cornea is modelled: the options beside mesh, constants and load."""
+"""Model options of a corneal section other than mesh, constants and load."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -17,18 +17,18 @@ class CorneaModel:
     Parameters
     ----------
     kind : {"plane stress", "plane strain", "axisymmetric"}
-        Of an axisymmetric section each half is revolved by half a turn about x = 0, so
-        the mesh needs an edge there.
+        In an axisymmetric section each half is revolved by half a turn about x = 0, so the mesh
+        needs an edge there.
     prestress : {"additive", "mulf", "inverse", "none"}
-        How the cornea in the image is brought into equilibrium with the pressure in the
-        eye; see `prestress`. With "none" the image shows a cornea free of stress.
+        How the imaged cornea is brought into equilibrium with the intraocular pressure; see
+        `prestress`. With "none" the imaged cornea is stress-free.
     limbus_mpa_per_mm : float or None
         Stiffness of an elastic support of the limbus, per area; None clamps it.
     depth_gradient, side_gradient : float
         Change of ln(modulus) from the anterior to the posterior surface, and from left to
         right; the mean over the section is kept at zero.
     quadrature_points : {3, 7}
-        Per triangle.
+        Number per triangle.
     tolerance_mm : float
         Error of the displacement at which Newton's method stops.
     prestress_tolerance_mm : float

@@ -1,6 +1,6 @@
 r"""Stress and tangent of an Ogden law in plane stress, plane strain and axisymmetry.
 
-Of one term, with :math:`\bar\lambda_a = J^{-1/3} \lambda_a`,
+For one term, with :math:`\bar\lambda_a = J^{-1/3} \lambda_a`,
 :math:`q_a = \bar\lambda_a^{\alpha}`, their mean m, and the volumetric
 :math:`h = J p(J)`, :math:`p = \sum_i K i (J - 1)^{2 i - 1}`,
 
@@ -10,21 +10,21 @@ Of one term, with :math:`\bar\lambda_a = J^{-1/3} \lambda_a`,
             + J p + J^2 p' .
 
 The second Piola-Kirchhoff stress has the principal values
-:math:`S_a = \tau_a / \lambda_a^2`, and by the strain
+:math:`S_a = \tau_a / \lambda_a^2`, and its derivatives by the strain are
 
 .. math:: \frac{\partial S_a}{\partial E_b}
           = \frac{c_{ab} - 2 \tau_a \delta_{ab}}{\lambda_a^2 \lambda_b^2}, \quad
           g = \frac{S_1 - S_2}{\lambda_1^2 - \lambda_2^2}
 
-along and across the principal directions. Where two stretches meet, g is 0/0 and is
-never formed by that division: with :math:`x = \ln(\lambda_1 / \lambda_2)` and
+along and across the principal directions. For equal stretches g is 0/0, so it is not
+computed by that division: with :math:`x = \ln(\lambda_1 / \lambda_2)` and
 :math:`\beta = \alpha / 2 - 1`,
 
 .. math:: g = \frac{1}{\lambda_1^2 \lambda_2^2} \left( \sum k \left[ \sqrt{q_1 q_2}
           \frac{\sinh \beta x}{\sinh x} + m \right] - h \right) .
 
-In plane stress the stretch out of the plane makes :math:`\tau_3` vanish; it is found by
-Halley's method on its logarithm and condensed,
+In plane stress the out-of-plane stretch makes :math:`\tau_3` vanish; its logarithm is found
+by Halley's method and condensed,
 :math:`c_{ab} - c_{a3} c_{3b} / c_{33}`.
 """
 
@@ -35,7 +35,7 @@ from palpate.storage.values import FloatArray
 from palpate.workers.compile_flags import CONTRACTED
 from palpate.workers.organs.cornea.material.constants import OgdenLaw
 
-# Two-dimensional kinds, as the kernels know them.
+# Two-dimensional kinds, as used in the kernels.
 PLANE_STRESS, PLANE_STRAIN, AXISYMMETRIC = 0, 1, 2
 
 # Halley's method for the thickness: the error after a step s is about (alpha s)^2 s / 10.
@@ -48,7 +48,7 @@ SERIES_BELOW = 1e-2
 
 @njit(inline="always", **CONTRACTED)
 def _pressure(J: float, bulk: float, terms: int) -> tuple[float, float, float]:
-    """Return ``h = J p`` of the volumetric energy and its two derivatives by ln J."""
+    """Return ``h = J p`` of the volumetric energy and its first two derivatives by ln J."""
     d = J - 1.0
     power = 1.0  # (J - 1)^(2 i - 2)
     p, slope, curvature = bulk * d, bulk, 0.0
@@ -64,7 +64,7 @@ def _pressure(J: float, bulk: float, terms: int) -> tuple[float, float, float]:
 
 @njit(inline="always", **CONTRACTED)
 def _powers(e1: float, e2: float, e3: float, law: OgdenLaw, q: FloatArray) -> None:
-    """Write ``lambda_bar_a ^ alpha_i`` of the logarithmic stretches into q, (N, 3)."""
+    """Write ``lambda_bar_a ^ alpha_i`` for the logarithmic stretches into q, (N, 3)."""
     mean = (e1 + e2 + e3) / 3.0
     for i in range(len(law.exponent)):
         a = law.exponent[i]
@@ -77,9 +77,9 @@ def _powers(e1: float, e2: float, e3: float, law: OgdenLaw, q: FloatArray) -> No
 def _without_stress_out_of_plane(
     e1: float, e2: float, law: OgdenLaw, stiffness: float, q: FloatArray
 ) -> float:
-    """Find the volume ratio J at which the stress out of the plane vanishes; fill q.
+    """Return the volume ratio J at which the out-of-plane stress vanishes, and fill q.
 
-    nan if Halley's method finds none.
+    nan if Halley's method does not converge.
     """
     e3 = -law.plane_stress_ratio * (e1 + e2)
     terms = len(law.exponent)
@@ -135,7 +135,7 @@ def second_piola(
     S: FloatArray,
     D: FloatArray,
 ) -> float:
-    """Write the stress and, if asked for, the tangent at one point; return J.
+    """Write the stress and, if requested, the tangent at one point, and return J.
 
     Parameters
     ----------

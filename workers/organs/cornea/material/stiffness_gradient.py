@@ -1,4 +1,4 @@
-"""Let the stiffness of a cornea change through its depth and from side to side."""
+"""Gradients of the stiffness of a cornea through its depth and from side to side."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
 def stiffness_factors(mesh: T6Mesh, model: CorneaModel) -> FloatArray:
     """Return the factor of the moduli of each triangle, shape (m,).
 
-    The factor is ``exp(depth_gradient d + side_gradient s)``, d from the anterior (-1/2)
+    The factor is ``exp(depth_gradient d + side_gradient s)``, with d from the anterior (-1/2)
     to the posterior surface (1/2), s from the left (-1/2) to the right edge (1/2).
     """
     if model.depth_gradient == 0 and model.side_gradient == 0:
@@ -25,7 +25,7 @@ def stiffness_factors(mesh: T6Mesh, model: CorneaModel) -> FloatArray:
 
 
 def _distance(points: FloatArray, nodes_mm: FloatArray, surface: IntArray) -> FloatArray:
-    """Return the distance of points from a polyline of nodes."""
+    """Return the distances of points from a polyline of nodes."""
     start, end = nodes_mm[surface[:-1]], nodes_mm[surface[1:]]
     along = end - start
     arm = points[:, None] - start

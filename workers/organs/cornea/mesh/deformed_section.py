@@ -1,4 +1,4 @@
-"""The surfaces of a section after its mesh has moved."""
+"""The surfaces of a section displaced with its mesh."""
 
 import numpy as np
 
@@ -12,20 +12,20 @@ from palpate.workers.organs.cornea.section.polyline import arclength_mm, points_
 def deformed_section(
     section: Section, mesh: T6Mesh, displacement_mm: FloatArray, points_per_side: int = 4
 ) -> Section:
-    """Return the surfaces of a section moved by the displacement of its mesh.
+    """Return the surfaces of a section, displaced with its mesh.
 
-    Points of the undeformed surfaces are moved by the quadratic interpolation of the
-    displacement along the sides of the elements, so a displacement of zero gives the
-    section's own surfaces, whatever the mesh.
+    Points of the undeformed surfaces are displaced by the quadratic interpolation along the
+    sides of the elements, so a zero displacement returns the original surfaces, independent of
+    the mesh.
 
     Parameters
     ----------
     section : Section
-        The undeformed one that was meshed.
+        The undeformed section that was meshed.
     mesh : T6Mesh
     displacement_mm : ndarray, shape (n, 2)
     points_per_side : int
-        Pieces into which the side of an element is cut; at least 1.
+        Number of pieces per side of an element; at least 1.
 
     Returns
     -------
@@ -35,7 +35,7 @@ def deformed_section(
     Raises
     ------
     InputError
-        If the displacement is not one of this mesh.
+        If the displacement does not match the mesh.
     """
     if displacement_mm.shape != mesh.nodes_mm.shape:
         raise InputError(
@@ -57,7 +57,7 @@ def deformed_section(
 def _moved(
     surface: FloatArray, mesh: T6Mesh, nodes: IntArray, displacement: FloatArray, pieces: int
 ) -> FloatArray:
-    # Nodes lie on the surface, so their x says where along it.
+    # Nodes are on the surface, so their x determines the position along it.
     along = np.interp(mesh.nodes_mm[nodes, 0], surface[:, 0], arclength_mm(surface))
     t = np.arange(pieces) / pieces
     shape = np.stack([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)])

@@ -1,4 +1,4 @@
-"""Points and weights of quadrature on a triangle, by their number."""
+"""Quadrature points and weights on a triangle, by number of points."""
 
 import numpy as np
 

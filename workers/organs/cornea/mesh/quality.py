@@ -1,4 +1,4 @@
-"""How good the 6-node triangles of a section are."""
+"""Quality of the 6-node triangles of a section."""
 
 from dataclasses import dataclass
 
@@ -15,11 +15,11 @@ class T6Quality:
     Parameters
     ----------
     smallest_shape, mean_shape : float
-        Mean ratio of the corner triangles, :math:`4 \sqrt 3 A / (a^2 + b^2 + c^2)`: 1 where
-        the sides are equal, 0 where the triangle has no area.
+        Mean ratio of the corner triangles, :math:`4 \sqrt 3 A / (a^2 + b^2 + c^2)`: 1 for
+        equal sides, 0 for a triangle without area.
     smallest_jacobian : float
-        Lower bound of the Jacobian determinant anywhere in an element over twice the area of
-        its corner triangle: 1 where the sides are straight, > 0 where the map is one to one.
+        Lower bound of the Jacobian determinant in any element, over twice the area of its
+        corner triangle: 1 for straight sides, > 0 if the map is one-to-one.
     """
 
     smallest_shape: float

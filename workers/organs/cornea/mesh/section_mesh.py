@@ -12,31 +12,31 @@ from palpate.workers.organs.cornea.section.checks import check_section
 from palpate.workers.organs.cornea.section.outline import Section
 from palpate.workers.organs.cornea.section.polyline import arclength_mm, points_at
 
-# Stations closer than this part of the surface's length are one.
+# Stations closer than this fraction of the surface's length are merged.
 SAME_STATION = 1e-6
 
 
 def mesh_section(
     section: Section, elements: int = 960, nodes_at_x_mm: Sequence[float] = ()
 ) -> T6Mesh:
-    """Return quadratic triangles between the surfaces of a section.
+    """Mesh a section with quadratic triangles between its surfaces.
 
-    Cross lines join points at the same part of the length of both surfaces. Each cell
-    between two cross lines and two layers is cut in two triangles, with diagonals that
-    alternate, so a symmetric section has a symmetric mesh. Middle nodes on the surfaces lie
-    on the surfaces, not on their chords. Nodes are numbered across the cornea first, from
-    the left edge to the right one: neighbours differ by at most 4 layers + 2.
+    Cross lines join points at equal fractions of the length of both surfaces. Each cell between
+    two cross lines and two layers is split into two triangles, with alternating diagonals, so a
+    symmetric section has a symmetric mesh. Midside nodes on the surfaces are on the surfaces,
+    not on their chords. Nodes are numbered across the cornea first, from the left edge to the
+    right one: neighbours differ by at most 4 layers + 2.
 
     Parameters
     ----------
     section : Section
-        Undeformed: x ascends along both surfaces.
+        The undeformed section: x ascends along both surfaces.
     elements : int
-        Wished number of triangles; layers come in whole numbers and cross lines in even
-        ones between the wished x, so the mesh has about as many.
+        Approximate number of triangles; layers come in whole numbers, and cross lines between
+        the given x in even ones.
     nodes_at_x_mm : sequence of float
-        Places on the anterior surface that get a corner node, such as the edges of the jet,
-        where the load jumps.
+        Positions on the anterior surface that get a corner node, such as the edges of the jet,
+        where the load is discontinuous.
 
     Returns
     -------
@@ -45,9 +45,9 @@ def mesh_section(
     Raises
     ------
     InputError
-        If the section is refused by `check_section`, a wished x lies outside the anterior
-        surface or twice at one place, there are fewer than 8 elements, or the surfaces are
-        so different that an element would be folded.
+        If `check_section` refuses the section, a given x is outside the anterior surface or
+        repeated, there are fewer than 8 elements, or the surfaces differ so much that an
+        element would be folded.
     """
     check_section(section)
     if elements < 8:
@@ -73,13 +73,13 @@ def mesh_section(
 
 
 def _fixed_stations(section: Section, nodes_at_x_mm: Sequence[float]) -> FloatArray:
-    """Return the parts of the anterior length where a corner node has to be, with 0 and 1."""
+    """Return the fractions of the anterior length that need a corner node, with 0 and 1."""
     surface = section.anterior_mm
     first, last = float(surface[0, 0]), float(surface[-1, 0])
     for x in nodes_at_x_mm:
         if not first < x < last:
             raise InputError(
-                f"A node was asked for at x = {x} mm, but the anterior surface reaches from "
+                f"A node was requested at x = {x} mm, but the anterior surface extends from "
                 f"{first:.3f} to {last:.3f} mm. Is the jet wider than the cornea, or off it?"
             )
     along = arclength_mm(surface)
@@ -87,8 +87,8 @@ def _fixed_stations(section: Section, nodes_at_x_mm: Sequence[float]) -> FloatAr
     fixed = np.concatenate([[0.0], wished / along[-1], [1.0]])
     if np.any(np.diff(fixed) < SAME_STATION):
         raise InputError(
-            f"Two nodes were asked for at one place: x = {sorted(nodes_at_x_mm)} mm. "
-            "Give each place once, and none at the edge of the section."
+            f"Two nodes were requested at one position: x = {sorted(nodes_at_x_mm)} mm. "
+            "Give each position once, and none at the edge of the section."
         )
     return fixed
 
@@ -102,8 +102,8 @@ def _counts(section: Section, elements: int, fixed: FloatArray) -> tuple[int, li
     cells = elements / 2
     layers = max(1, int(np.sqrt(cells * area / length**2)))
     parts = np.diff(fixed)
-    # Even numbers keep the alternating diagonals symmetric; of several roundings, the one
-    # whose total comes closest to the wish, and then the one nearest to even spacing.
+    # Even numbers keep the alternating diagonals symmetric; among the roundings, the one with the
+    # total closest to the requested number, and then with the most even spacing, is used.
     best: tuple[float, float, list[int]] | None = None
     for scale in np.linspace(0.9, 1.1, 81):
         counts = [2 * max(1, round(scale * part * cells / layers / 2)) for part in parts]
@@ -116,7 +116,7 @@ def _counts(section: Section, elements: int, fixed: FloatArray) -> tuple[int, li
 
 
 def _structured(section: Section, stations: FloatArray, layers: int) -> T6Mesh:
-    """Return the mesh over given stations (corners and middles alternating)."""
+    """Return the mesh on given stations (corners and midsides alternating)."""
     outer = points_at(section.anterior_mm, stations * arclength_mm(section.anterior_mm)[-1])
     inner = points_at(section.posterior_mm, stations * arclength_mm(section.posterior_mm)[-1])
     height = np.linspace(0.0, 1.0, 2 * layers + 1)[None, :, None]

@@ -12,12 +12,12 @@ from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
 
 
 class PointGeometry(NamedTuple):
-    """What the undeformed triangles say at their quadrature points.
+    """Undeformed triangles at their quadrature points.
 
     Parameters
     ----------
     gradients : ndarray, shape (m, q, 2, 8)
-        Of the six shape functions by x and y, in 1/mm; zero beyond, as short vectors like it.
+        Gradients of the six shape functions by x and y, in 1/mm; padded with zeros for SIMD.
     hoop : ndarray, shape (m, q, 8)
         Shape function over radius in 1/mm; zero in a plane.
     weights : ndarray, shape (m, q)
@@ -45,12 +45,12 @@ def shape_functions(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 def point_geometry(
     mesh: T6Mesh, nodes_mm: FloatArray, n_points: int, axisymmetric: bool
 ) -> PointGeometry:
-    """Return the geometry of a mesh whose nodes stand at `nodes_mm`.
+    """Return the geometry of a mesh with nodes at `nodes_mm`.
 
     Raises
     ------
     InputError
-        If a triangle is turned inside out.
+        If a triangle is inverted.
     """
     points, weights = QUADRATURE[n_points]
     N, slopes = shape_functions(points)
@@ -63,7 +63,7 @@ def point_geometry(
     if not (area > 0).all():
         bad = int(np.argmin(area.min(axis=1)))
         raise InputError(
-            f"Triangle {bad} of the corneal mesh is turned inside out or badly bent. Nodes run "
+            f"Triangle {bad} of the corneal mesh is inverted or badly distorted. Nodes run "
             "counter-clockwise, corners first; check that the two surfaces do not cross."
         )
     by_x = d[..., None] * slopes[..., 0] - c[..., None] * slopes[..., 1]

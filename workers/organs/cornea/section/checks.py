@@ -1,4 +1,4 @@
-"""Whether two surfaces bound a cornea."""
+"""Validation of the two surfaces of a cornea."""
 
 import numpy as np
 from numba import njit
@@ -8,7 +8,7 @@ from palpate.storage.values import FloatArray
 from palpate.workers.organs.cornea.section.contour_distance import distances
 from palpate.workers.organs.cornea.section.outline import Section
 
-# Below this no tissue is left between the surfaces; a cornea is 450 to 700 um thick.
+# Smallest distance between the surfaces; a cornea is 450 to 700 um thick.
 MIN_THICKNESS_MM = 0.01
 
 
@@ -18,13 +18,13 @@ def check_section(section: Section) -> None:
     Parameters
     ----------
     section : Section
-        An undeformed one.
+        An undeformed section.
 
     Raises
     ------
     InputError
-        If x does not ascend along a surface, the surfaces cross, are exchanged, or come
-        closer to each other than 10 um (from a point of the anterior one).
+        If x does not ascend along a surface, the surfaces cross or are exchanged, or their
+        distance is less than 10 um (from a point of the anterior one).
     """
     for name, surface in (("anterior", section.anterior_mm), ("posterior", section.posterior_mm)):
         back = np.flatnonzero(np.diff(surface[:, 0]) <= 0)
@@ -46,7 +46,7 @@ def check_section(section: Section) -> None:
     area = 0.5 * np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0])
     if area >= 0:
         raise InputError(
-            "The anterior surface lies below the posterior one. Exchange the two contours; "
+            "The anterior surface is below the posterior one. Exchange the two contours; "
             "y points out of the eye."
         )
     gaps = distances(section.anterior_mm, section.posterior_mm)
@@ -60,7 +60,7 @@ def check_section(section: Section) -> None:
 
 @njit(cache=True, nogil=True)
 def _first_crossing(upper: FloatArray, lower: FloatArray) -> float:
-    """Return x of the first crossing of two polylines with ascending x, or infinity."""
+    """Return x at the first crossing of two polylines with ascending x, or infinity."""
     j = 0
     for i in range(len(upper) - 1):
         ax, ay = upper[i]

@@ -7,18 +7,18 @@ from numba import njit
 
 from palpate.storage.values import FloatArray
 
-# Sides that share a bounding box when the nearest one is looked for.
+# Number of sides that share a bounding box in the search for the nearest one.
 CHUNK = 16
 
 
 @dataclass(frozen=True, eq=False)
 class ContourSamples:
-    """Points along a contour with what each stands for.
+    """Points along a contour with their weights.
 
     Parameters
     ----------
     points : ndarray, shape (k, 2)
-        Middles of equal pieces of the sides.
+        Midpoints of equal pieces of the sides.
     weights : ndarray, shape (k,)
         Length of the piece, or its number of boundary pixels; > 0.
     """
@@ -28,7 +28,7 @@ class ContourSamples:
 
 
 def contour_samples(polygon: FloatArray, spacing: float, pixelwise: bool) -> ContourSamples:
-    """Return points along a closed contour, no further apart than a spacing.
+    """Return points along a closed contour, at most a given spacing apart.
 
     Parameters
     ----------
@@ -36,8 +36,8 @@ def contour_samples(polygon: FloatArray, spacing: float, pixelwise: bool) -> Con
     spacing : float
         Same unit as the points; > 0.
     pixelwise : bool
-        Weigh a piece by the larger of its extents along x and y, which is the number of
-        pixels it has in a thin (8-connected) digital boundary, instead of by its length.
+        Weight a piece by the larger of its extents along x and y, which is its number of
+        pixels in a thin (8-connected) digital boundary, instead of by its length.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def distances(points: FloatArray, polyline: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _squared_distances(points: FloatArray, xs: FloatArray, ys: FloatArray) -> FloatArray:
-    """Return the squares of the distances of points from a polyline, chunk by chunk."""
+    """Return the squared distances of points from a polyline, chunk by chunk."""
     sides = len(xs) - 1
     chunks = (sides + CHUNK - 1) // CHUNK
     box = np.empty((chunks, 4))
@@ -106,7 +106,7 @@ def _squared_distances(points: FloatArray, xs: FloatArray, ys: FloatArray) -> Fl
     for k in range(len(points)):
         px = points[k, 0]
         py = points[k, 1]
-        # The chunk that was nearest to the point before gives a small first bound.
+        # The nearest chunk of the previous point gives a small initial bound.
         best = _to_chunk(px, py, xs, ys, nearest, np.inf)
         for c in range(chunks):
             gx = max(box[c, 0] - px, 0.0, px - box[c, 2])
@@ -124,7 +124,7 @@ def _squared_distances(points: FloatArray, xs: FloatArray, ys: FloatArray) -> Fl
 def _to_chunk(
     px: float, py: float, xs: FloatArray, ys: FloatArray, chunk: int, best: float
 ) -> float:
-    """Return the least squared distance from the sides of a chunk, or `best` if that is less."""
+    """Return the smallest squared distance from the sides of a chunk, or `best` if smaller."""
     for i in range(chunk * CHUNK, min(len(xs) - 1, (chunk + 1) * CHUNK)):
         ax = xs[i] - px
         ay = ys[i] - py

@@ -1,4 +1,4 @@
-"""The part of a section that lies between two vertical lines."""
+"""The part of a section between two vertical lines."""
 
 import numpy as np
 
@@ -8,17 +8,17 @@ from palpate.workers.organs.cornea.section.outline import Section
 
 
 def cropped_section(section: Section, first_x_mm: float, last_x_mm: float) -> Section:
-    """Return what a frame from one x to another shows of a section.
+    """Return the part of a section within a range of x, as shown by a frame.
 
-    A simulated section reaches from limbus to limbus, a frame less far: both are cropped to
-    what they share before they are compared.
+    A simulated section extends from limbus to limbus, a frame does not: both are cropped to
+    their common range before they are compared.
 
     Parameters
     ----------
     section : Section
-        Its surfaces cross each of the two lines once.
+        Each of its surfaces crosses each line once.
     first_x_mm, last_x_mm : float
-        Ascending; a line beyond an end of a surface leaves that end as it is.
+        Ascending; a line beyond an end of a surface leaves that end unchanged.
 
     Returns
     -------
@@ -27,7 +27,7 @@ def cropped_section(section: Section, first_x_mm: float, last_x_mm: float) -> Se
     Raises
     ------
     InputError
-        If a surface lies outside the two lines, or crosses one of them more than once.
+        If a surface is outside the two lines, or crosses one of them more than once.
     """
     return Section(
         anterior_mm=_cropped(section.anterior_mm, first_x_mm, last_x_mm),
@@ -41,7 +41,7 @@ def _cropped(surface: FloatArray, first: float, last: float) -> FloatArray:
     if len(inside) < 2 or np.any(np.diff(inside) != 1):
         raise InputError(
             f"A surface from x = {x[0]:.3f} to {x[-1]:.3f} mm cannot be cropped to {first:.3f} to "
-            f"{last:.3f} mm: it lies outside, or crosses a border more than once."
+            f"{last:.3f} mm: it is outside, or crosses a border more than once."
         )
     begin, end = inside[0], inside[-1]
     pieces = [surface[begin : end + 1]]
@@ -53,5 +53,5 @@ def _cropped(surface: FloatArray, first: float, last: float) -> FloatArray:
 
 
 def _on_line(a: FloatArray, b: FloatArray, x: float) -> FloatArray:
-    """Return the point over x between two points."""
+    """Return the point at x on the line through two points."""
     return np.array([x, a[1] + (b[1] - a[1]) * (x - a[0]) / (b[0] - a[0])])

@@ -21,11 +21,11 @@ def generated_section(
     :math:`z` below the apex, a circle of radius :math:`R` for :math:`Q = 0`. The
     posterior surface is the circular arc through the point at the central thickness
     below the apex and through the two points at the peripheral thickness from the ends
-    of the anterior surface, along its normals. All points lie exactly on their curves.
+    of the anterior surface, along its normals. All points are exactly on their curves.
     The ends of the anterior surface have y = 0, its apex x = 0.
 
-    The default is the geometry of the measurements in the project's inventory of the
-    thesis (chapter 5): radius 7.8 mm, chord 11.7 mm, thickness 0.595 to 0.70 mm.
+    The default is the geometry of the measurements in the thesis (chapter 5): radius 7.8 mm,
+    chord 11.7 mm, thickness 0.595 to 0.70 mm.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def generated_section(
     asphericity : float
         Conic constant Q: 0 a circle, -0.2 a typical cornea, flatter outwards.
     points : int
-        Points a surface, odd so that one lies on the axis; at least 3.
+        Number of points per surface, odd so that one is on the axis; at least 3.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def generated_section(
             f"A surface of radius {anterior_radius_mm} mm and asphericity {asphericity} does not "
             f"reach a diameter of {diameter_mm} mm. Give a larger radius or a smaller diameter."
         )
-    # Equal steps of the angle on a circle of this radius; on another conic nearly even steps.
+    # Equal steps of the angle on a circle of this radius; on other conics nearly even steps.
     widest = np.arcsin(min(half / anterior_radius_mm, 0.999))
     side = np.sin(np.linspace(0.0, widest, points // 2 + 1)) * (half / np.sin(widest))
     side[-1] = half

@@ -1,4 +1,4 @@
-"""A section as labelled pixels, to be drawn."""
+"""A section as labelled pixels for display."""
 
 import numpy as np
 from skimage.draw import polygon2mask
@@ -14,7 +14,7 @@ MARGIN_PIXELS = 4
 def section_image(section: Section, pixel_mm: float = PIXEL_MM) -> Volume:
     """Return a section as a volume of one slice, z = 0.
 
-    Centres of pixels lie at whole multiples of their size, so the images of two sections
+    Pixel centres are at integer multiples of the pixel size, so the images of two sections
     share one lattice.
 
     Parameters
@@ -26,7 +26,7 @@ def section_image(section: Section, pixel_mm: float = PIXEL_MM) -> Volume:
     Returns
     -------
     Volume
-        `CORNEA_LABEL` where the centre of a pixel lies inside the section, else 0.
+        `CORNEA_LABEL` where the centre of a pixel is inside the section, else 0.
     """
     outline = section.outline_mm / pixel_mm
     first = np.floor(outline.min(axis=0)).astype(int) - MARGIN_PIXELS

@@ -10,11 +10,11 @@ from palpate.storage.values import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """The two surfaces of a corneal section, from the left limbus to the right one.
+    """The two surfaces of a corneal section, from the left to the right limbus.
 
-    The x axis runs along the chord from limbus to limbus, the y axis out of the eye, so
-    the anterior surface has the larger y. Both surfaces begin on the left edge and end
-    on the right edge of the section.
+    The x axis points along the chord from limbus to limbus, the y axis out of the eye, so the
+    anterior surface has the larger y. Both surfaces start at the left edge of the section and
+    end at the right edge.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class Section:
     Raises
     ------
     InputError
-        If a surface has fewer than three points or holds a number that is not finite.
+        If a surface has fewer than three points or a coordinate is not finite.
     """
 
     anterior_mm: FloatArray
@@ -39,11 +39,11 @@ class Section:
                 )
             if not np.isfinite(surface).all():
                 raise InputError(
-                    f"The {name} surface of the cornea holds numbers that are not "
+                    f"The {name} surface of the cornea has coordinates that are not "
                     "finite. Check the segmentation of the image."
                 )
 
     @property
     def outline_mm(self) -> FloatArray:
-        """The closed polygon: anterior surface left to right, posterior surface back again."""
+        """Return the closed polygon: anterior surface left to right, posterior surface back."""
         return np.concatenate([self.anterior_mm, self.posterior_mm[::-1]])

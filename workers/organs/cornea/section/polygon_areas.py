@@ -1,26 +1,26 @@
-"""Exact areas of two polygons and of what they share."""
+"""Exact areas of two polygons and of their intersection."""
 
 import numpy as np
 from numba import njit
 
 from palpate.storage.values import FloatArray
 
-# Sides of both polygons over one x; the two surfaces of two sections need 4, folds more.
+# Most sides of both polygons above one x; two sections need 4, folds more.
 MAX_SIDES = 256
 
 
 def overlap_areas(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
     """Return the areas of two polygons and of their intersection.
 
-    The plane is cut in vertical strips between neighbouring vertices. Inside a strip the
-    sides are straight lines; where some of them cross, the strip is cut there. Every piece
-    then consists of trapezoids, so the areas are exact but for rounding. Inside is what an
-    odd number of sides lies below (the even-odd rule), so a polygon may have any shape.
+    The plane is cut into vertical strips between neighbouring vertices. Inside a strip the sides
+    are straight lines; where sides cross, the strip is cut again. Every piece then consists of
+    trapezoids, so the areas are exact except for rounding. The even-odd rule defines the
+    interior, so polygons may have any shape.
 
     Parameters
     ----------
     a, b : ndarray, shape (n, 2) and (m, 2)
-        Vertices in order, closed by the side from the last to the first one.
+        Vertices in order, closed by the side from the last to the first.
 
     Returns
     -------
@@ -29,19 +29,19 @@ def overlap_areas(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
     Raises
     ------
     ValueError
-        If more than 256 sides lie over one x.
+        If more than 256 sides are above one x.
     """
     sides = np.concatenate([_sides(a, 1), _sides(b, 2)])
     sides = sides[np.argsort(sides[:, 0], kind="stable")]
     xs = np.unique(np.concatenate([a[:, 0], b[:, 0]]))
     area_a, area_b, both = _sweep(sides, xs)
     if area_a < 0:
-        raise ValueError(f"More than {MAX_SIDES} sides of the two polygons lie over one x.")
+        raise ValueError(f"More than {MAX_SIDES} sides of the two polygons are above one x.")
     return area_a, area_b, both
 
 
 def _sides(polygon: FloatArray, owner: int) -> FloatArray:
-    """Return x from, y from, x to, y to and owner of the sides that are not vertical."""
+    """Return start x, start y, end x, end y and owner of the sides that are not vertical."""
     following = np.roll(polygon, -1, axis=0)
     swap = (following[:, 0] < polygon[:, 0])[:, None]
     left, right = np.where(swap, following, polygon), np.where(swap, polygon, following)
@@ -51,7 +51,7 @@ def _sides(polygon: FloatArray, owner: int) -> FloatArray:
 
 @njit(cache=True, nogil=True)
 def _sweep(sides: FloatArray, xs: FloatArray) -> tuple[float, float, float]:
-    """Return both areas and that of what they share; -1 three times if sides are too many."""
+    """Return both areas and the intersection's; -1 three times if sides are too many."""
     active = np.empty(MAX_SIDES, dtype=np.int64)
     slope = np.empty(MAX_SIDES)
     level = np.empty(MAX_SIDES)

@@ -6,7 +6,7 @@ from palpate.storage.values import FloatArray
 
 
 def arclength_mm(points_mm: FloatArray) -> FloatArray:
-    """Return the length of a polyline from its first point to each of its points.
+    """Return the arclengths from the first point of a polyline to each of its points.
 
     Parameters
     ----------
@@ -15,7 +15,7 @@ def arclength_mm(points_mm: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n,)
-        Begins with zero; not descending.
+        Starts with zero; not descending.
     """
     steps = np.diff(points_mm, axis=0)
     return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
@@ -28,7 +28,7 @@ def points_at(points_mm: FloatArray, at_mm: FloatArray) -> FloatArray:
     ----------
     points_mm : ndarray, shape (n, 2)
     at_mm : ndarray, shape (k,)
-        Arclengths from the first point; beyond the ends, the end is returned.
+        Arclengths from the first point, clipped to the polyline.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The posterior surface as a tilted camera sees it through the anterior one."""
+"""The posterior surface as seen by a tilted camera through the anterior one."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,7 @@ from palpate.storage.values import FloatArray
 
 # Refractive index of the cornea for visible light.
 CORNEA_INDEX = 1.376
-# A Scheimpflug camera looks at the plane of the light slit from this side.
+# Angle from which a Scheimpflug camera views the plane of the light slit.
 CAMERA_ANGLE_DEG = 45.0
 
 
@@ -20,14 +20,14 @@ def corrected_posterior(
     camera_angle_deg: float = CAMERA_ANGLE_DEG,
     axis_x_mm: float | None = None,
 ) -> FloatArray:
-    r"""Return where the points of a posterior surface are that appear at given places.
+    r"""Return the true positions of a posterior surface, given its apparent ones.
 
-    The section is lit by a slit in the plane z = 0. The camera's parallel rays
-    :math:`d = (0, -\cos\alpha, \sin\alpha)` meet the anterior surface in front of that
-    plane, are refracted by Snell's law in three dimensions, and end in the plane. In the
-    image, which is scaled for air, a point appears where the ray would have met the plane
-    without refraction. Out of the plane, the anterior surface :math:`f` bends as the
-    surface of revolution of its even part :math:`e` about a vertical axis does,
+    The section is illuminated by a slit in the plane z = 0. The camera's parallel rays
+    :math:`d = (0, -\cos\alpha, \sin\alpha)` meet the anterior surface in front of that plane,
+    are refracted by Snell's law in three dimensions, and end in the plane. In the image, which
+    is scaled for air, a point appears where the ray would have met the plane without
+    refraction. Out of the plane, the anterior surface :math:`f` is curved like the surface of
+    revolution of its even part :math:`e` about a vertical axis,
     :math:`y = f(x) + e(\sqrt{x^2 + z^2}) - e(x)`. Behind a flat surface the depth is
     :math:`\tan\alpha / \tan\alpha'` times the apparent one with
     :math:`\sin\alpha = n \sin\alpha'`: 1.67 times at 45 degrees, 1.376 times head on.
@@ -52,20 +52,20 @@ def corrected_posterior(
     Raises
     ------
     InputError
-        If the index, the angle or the order of the points is out of range, or a point lies
-        above the anterior surface.
+        If the index, the angle or the order of the points is invalid, or a point is above the
+        anterior surface.
     """
     if not (np.isfinite(index) and index >= 1):
         raise InputError(f"A refractive index is at least 1 (cornea: 1.376), got {index}.")
     if not 0 < camera_angle_deg < 80:
         raise InputError(
-            f"The angle of the camera must lie between 0 and 80 degrees, got {camera_angle_deg}."
+            f"The angle of the camera must be between 0 and 80 degrees, got {camera_angle_deg}."
         )
     x, y = anterior_mm.T
     if np.any(np.diff(x) <= 0):
         raise InputError("The anterior surface runs back. Give its points from left to right.")
     if np.any(apparent_mm[:, 1] > np.interp(apparent_mm[:, 0], x, y)):
-        raise InputError("The posterior surface lies above the anterior one in places.")
+        raise InputError("The posterior surface is above the anterior one in places.")
     surface = _AnteriorSurface(
         anterior_mm, 0.5 * float(x[0] + x[-1]) if axis_x_mm is None else axis_x_mm
     )
@@ -88,14 +88,14 @@ def corrected_posterior(
 
 
 class _AnteriorSurface:
-    """The anterior surface over the plane (x, z), straight beyond the ends of the section."""
+    """The anterior surface over the plane (x, z), extended by straight lines."""
 
     def __init__(self, anterior: FloatArray, axis: float) -> None:
         self._x, self._y = anterior.T
         self._axis = axis
         self._slope = np.gradient(self._y, self._x)
         widest = max(axis - self._x[0], self._x[-1] - axis)
-        # Rays enter up to a thickness further out than the section reaches.
+        # Rays may enter up to a thickness beyond the ends of the section.
         self._r = np.linspace(-1.2 * widest, 1.2 * widest, 2 * len(self._x) + 1)
         self._even = 0.5 * (self._profile(axis + self._r) + self._profile(axis - self._r))
         self._even_slope = np.gradient(self._even, self._r)
@@ -111,7 +111,7 @@ class _AnteriorSurface:
         return np.asarray(self._profile(x) + rise - np.interp(aside, self._r, self._even))
 
     def normal(self, x: FloatArray, z: FloatArray) -> FloatArray:
-        """Return unit normals out of the eye, shape (n, 3)."""
+        """Return outward unit normals, shape (n, 3)."""
         aside = x - self._axis
         radius = np.maximum(np.hypot(aside, z), 1e-12)
         along_r = np.interp(radius, self._r, self._even_slope)
@@ -122,7 +122,7 @@ class _AnteriorSurface:
 
 
 def _first_root(function: Callable[[FloatArray], FloatArray], guess: FloatArray) -> FloatArray:
-    """Return the roots of a function that is not above zero at zero, by bisection."""
+    """Return the roots of functions that are not positive at zero, by bisection."""
     low, high = np.zeros_like(guess), np.maximum(guess, 1e-9)
     for _ in range(20):
         high = np.where(function(high) < 0, 1.5 * high, high)

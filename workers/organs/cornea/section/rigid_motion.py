@@ -10,7 +10,7 @@ from palpate.workers.organs.cornea.section.outline import Section
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """A turn about a centre, then a shift.
+    """A rotation about a centre, followed by a shift.
 
     Parameters
     ----------
@@ -19,7 +19,7 @@ class RigidMotion:
     tilt_rad : float
         Counter-clockwise.
     centre_mm : tuple of float
-        Point that only the shift moves.
+        Centre of the rotation.
     """
 
     shift_mm: tuple[float, float] = (0.0, 0.0)
@@ -27,14 +27,14 @@ class RigidMotion:
     centre_mm: tuple[float, float] = (0.0, 0.0)
 
     def of_points(self, points_mm: FloatArray) -> FloatArray:
-        """Return moved points, shape (n, 2)."""
+        """Return the moved points, shape (n, 2)."""
         cos, sin = np.cos(self.tilt_rad), np.sin(self.tilt_rad)
         turn = np.array([[cos, -sin], [sin, cos]])
         arms = points_mm - np.array(self.centre_mm)
         return np.asarray(arms @ turn.T + self.centre_mm + self.shift_mm)
 
     def of_section(self, section: Section) -> Section:
-        """Return a moved section."""
+        """Return the moved section."""
         return Section(
             anterior_mm=self.of_points(section.anterior_mm),
             posterior_mm=self.of_points(section.posterior_mm),
@@ -42,7 +42,7 @@ class RigidMotion:
 
     @property
     def inverse(self) -> "RigidMotion":
-        """Return the motion back."""
+        """Return the inverse motion."""
         centre = (
             self.centre_mm[0] + self.shift_mm[0],
             self.centre_mm[1] + self.shift_mm[1],

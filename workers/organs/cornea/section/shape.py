@@ -1,4 +1,4 @@
-"""Measures of a corneal section by which it is recognised as one."""
+"""Measures that identify a corneal section."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,15 +10,15 @@ from palpate.storage.values import FloatArray
 from palpate.workers.organs.cornea.section.contour_distance import distances
 from palpate.workers.organs.cornea.section.outline import Section
 
-# Half widths over which the curvature of the anterior surface and the thickness are taken.
+# Half widths for the curvature of the anterior surface and for the thickness.
 RADIUS_REACH_MM = 4.0
 CENTRE_REACH_MM = 0.5
-# A smooth surface at rest is a polynomial of this degree, to some 15 um on a Corvis frame.
+# Degree of the polynomial for a smooth surface at rest; accurate to 15 um on a Corvis frame.
 SMOOTH_DEGREE = 4
 
 
 class Bump(NamedTuple):
-    """Largest distance of a surface from a smooth curve; positive out of the eye."""
+    """The largest distance of a surface from a smooth curve; positive out of the eye."""
 
     height_mm: float
     x_mm: float
@@ -33,7 +33,7 @@ class SectionShape:
     width_mm : float
         Extent of the anterior surface along x.
     radius_mm : float
-        Of the circle through the anterior surface; negative where it curves into the eye.
+        Radius of the circle through the anterior surface; negative if it curves into the eye.
     central_thickness_mm : float
         Mean over the middle millimetre, from the anterior surface to the posterior one.
     anterior_bump, posterior_bump : Bump
@@ -64,7 +64,7 @@ def shape_of(section: Section) -> SectionShape:
 
 
 def signed_radius_mm(surface_mm: FloatArray) -> float:
-    """Return the radius of the circle through a surface, negative where it is concave.
+    """Return the radius of the circle through a surface, negative if it is concave.
 
     Least squares of :math:`x^2 + y^2 + a x + b y + c` (I. Kasa, IEEE Trans. Instrum. Meas. 25
     (1976) 8) over the middle 8 mm; infinite for a straight line.
@@ -85,12 +85,12 @@ def signed_radius_mm(surface_mm: FloatArray) -> float:
 
 
 def depth_mm(undeformed: Section, deformed: Section, reach_mm: float) -> float:
-    """Return how far the middle of the anterior surface moved into the eye.
+    """Return the motion of the middle of the anterior surface into the eye.
 
     Parameters
     ----------
     undeformed, deformed : Section
-        In one frame of reference.
+        In one coordinate system.
     reach_mm : float
         Half width of the middle, over which the motion along y is averaged.
 

@@ -1,4 +1,4 @@
-"""One candidate, and the same with one of its parameters changed by name."""
+"""A candidate, and candidates with one parameter changed."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from palpate.workers.organs.cornea.material.load import CorneaLoad
 from palpate.workers.organs.cornea.material.stiffness_gradient import stiffness_factors
 from palpate.workers.organs.cornea.solver.prepared_mesh import PreparedMesh
 
-# A pressure changes by parts of at least this much.
+# Smallest scale for changes of a pressure.
 SMALLEST_PRESSURE_SCALE_MPA = 1e-3
 
 
@@ -23,7 +23,7 @@ class Candidate:
 
 
 def parameter_names(candidate: Candidate) -> tuple[str, ...]:
-    """Return what a candidate can be differentiated by.
+    """Return the parameters by which a candidate can be differentiated.
 
     Ogden terms are numbered from 1: mu1_mpa, alpha1, mu2_mpa, ...
     """
@@ -35,12 +35,12 @@ def parameter_names(candidate: Candidate) -> tuple[str, ...]:
 
 
 def scale_of(candidate: Candidate, name: str) -> float:
-    """Return a change of a parameter that matters, in its unit: differences step by parts of it.
+    """Return a significant change of a parameter, in its unit; difference steps are relative to it.
 
     Raises
     ------
     InputError
-        If there is no such parameter.
+        If the parameter is unknown.
     """
     constants, load = candidate.constants, candidate.load
     if name not in parameter_names(candidate):
@@ -66,7 +66,7 @@ def changed(candidate: Candidate, name: str, by: float) -> Candidate:
     Raises
     ------
     InputError
-        If there is no such parameter, or it cannot be changed so far.
+        If the parameter is unknown, or cannot be changed that far.
     """
     scale_of(candidate, name)
     constants, load = candidate.constants, candidate.load

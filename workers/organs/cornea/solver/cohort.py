@@ -1,4 +1,4 @@
-"""The printed results of chapter 5 of the thesis: two synthetic eyes and 24 measured ones.
+"""Printed results of chapter 5 of the thesis: two synthetic eyes and 24 measured ones.
 
 M. A. Lago, PhD thesis, Universitat Politecnica de Valencia, 2014, Tables 5.1 and 5.2.
 """
@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 
 class OgdenConstants(NamedTuple):
-    """Constants of the two terms of an Ogden material as the thesis prints them."""
+    """Constants of a two-term Ogden material as printed in the thesis."""
 
     mu1_pa: float
     alpha1: float
@@ -23,7 +23,7 @@ class OgdenConstants(NamedTuple):
 
 @dataclass(frozen=True)
 class SyntheticEye:
-    """One half of Table 5.1: known constants and what the thesis' search returned.
+    """One half of Table 5.1: known constants and the result of the thesis' search.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ class SyntheticEye:
 
 @dataclass(frozen=True)
 class CohortEye:
-    """One row of Table 5.2: a measured eye and the constants that the thesis found for it.
+    """One row of Table 5.2: a measured eye and its constants from the thesis.
 
     Parameters
     ----------
     patient : int
         1 to 12.
     side : {"left", "right"}
-        The table names the order left, right in its caption only.
+        The order left, right is stated only in the table's caption.
     iop_mmhg, pachymetry_um : float
         Measured.
     constants : OgdenConstants
@@ -92,8 +92,8 @@ TABLE_5_1 = (
     ),
 )
 
-# Average row and standard deviations of Table 5.2 as printed: constants, JC, MHD in um. The
-# printed mean of mu2 is cut, not rounded (22962.6), and the rows give a mean MHD of 25.3 um.
+# Mean row and standard deviations of Table 5.2 as printed: constants, JC, MHD in um. The printed
+# mean of mu2 is truncated, not rounded (22962.6), and the rows give a mean MHD of 25.3 um.
 PRINTED_AVERAGE = (OgdenConstants(26034, 75.11, 22962, 63.70), 0.87, 25.4)
 PRINTED_SD = (OgdenConstants(9960, 26.03, 9531, 25.01), 0.03, 6.8)
 

@@ -1,13 +1,13 @@
-"""Factorise the tangent of a long and thin body within its envelope.
+"""Factorisation of the tangent of a long, thin body within its envelope.
 
-A section of a cornea is some hundred elements long and a few thick. With its nodes
-ordered along it (reverse Cuthill-McKee) every row of the tangent reaches only to
-its neighbours, and elimination fills nothing beyond that reach. The envelope is kept in
-tiles of 8 x 8, one tile row after another, and eliminated tile by tile with short
-vectors. The load stiffness of a pressure is not symmetric, hence L U; rows are not
-exchanged, so a pivot that vanishes is reported, not avoided.
+A section of a cornea is about a hundred elements long and a few thick. With nodes ordered along
+it (reverse Cuthill-McKee), every row of the tangent extends only to its neighbours, and
+elimination causes no fill beyond them. The envelope is stored in tiles of 8 x 8, one tile row
+after another, and eliminated tile by tile with short vectors. The load stiffness of a pressure
+is not symmetric, hence L U; there is no pivoting, so a vanishing pivot is reported, not
+avoided.
 
-Measured on 960 triangles (4,302 unknowns): 1.0 ms, against 16 ms of SuperLU; a solution
+Measured on 960 triangles (4,302 unknowns): 1.0 ms, compared with 16 ms for SuperLU; a solution
 takes 0.17 ms.
 """
 
@@ -23,19 +23,19 @@ from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.compile_flags import CONTRACTED
 from palpate.workers.mechanics.fem.elements.simd import LANES, load, store, zero
 
-# A pivot this much smaller than the largest entry of its column has lost all its digits.
+# A pivot this much smaller than the largest entry of its column has no accurate digits.
 SMALLEST_PIVOT = 1e-14
 
 
 class Envelope(NamedTuple):
-    """Where the entries of a matrix are kept.
+    """The storage layout of a matrix.
 
     Parameters
     ----------
     first, last : ndarray of int32, shape (t,)
-        Tile columns that tile row i reaches; neither ever decreases.
+        Range of tile columns in tile row i; neither ever decreases.
     tile_starts : ndarray of int32, shape (t + 1,)
-        In LANES numbers: where tile row i begins in the values.
+        Start of tile row i in the values, in LANES numbers.
     row_starts : ndarray of int32, shape (8 t,)
         Entry (i, j) is ``values[row_starts[i] + j]``.
     """
@@ -47,7 +47,7 @@ class Envelope(NamedTuple):
 
 
 def node_order(triangles: IntArray, n_nodes: int) -> IntArray:
-    """Return the nodes in an order in which neighbours are near each other."""
+    """Return the nodes in an order that keeps neighbours close."""
     rows = np.repeat(triangles, triangles.shape[1], axis=1).ravel()
     columns = np.tile(triangles, triangles.shape[1]).ravel()
     graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), (n_nodes, n_nodes))
@@ -60,7 +60,7 @@ def envelope_of(groups: IntArray, n: int) -> Envelope:
     Parameters
     ----------
     groups : ndarray of int32, shape (m, k)
-        Unknowns that are coupled with each other; -1 stands for none.
+        Coupled unknowns; -1 for none.
     """
     tiles = -(-n // LANES)
     low = np.where(groups < 0, n, groups).min(axis=1) // LANES
@@ -80,7 +80,7 @@ def envelope_of(groups: IntArray, n: int) -> Envelope:
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """L and U of a matrix.
+    """The factors L and U of a matrix.
 
     Parameters
     ----------
@@ -89,9 +89,9 @@ class Factors:
     n : int
         Number of unknowns.
     negative_pivots : int
-        Of a symmetric matrix, the number of its negative eigenvalues.
+        For a symmetric matrix, the number of its negative eigenvalues.
     singular : bool
-        Elimination met a pivot without digits, or a number that is not finite.
+        Elimination met a pivot without accurate digits, or a number that is not finite.
     """
 
     envelope: Envelope
@@ -110,12 +110,12 @@ class Factors:
 
 
 def new_values(envelope: Envelope) -> FloatArray:
-    """Return room for the entries of a matrix."""
+    """Return zeros for the entries of a matrix."""
     return np.zeros(int(envelope.tile_starts[-1]) * LANES)
 
 
 def factorise(envelope: Envelope, values: FloatArray, n: int) -> Factors:
-    """Factorise in place; the values now belong to the factors."""
+    """Factorise in place; the factors take over the values."""
     for i in range(n, len(envelope.row_starts)):
         values[envelope.row_starts[i] + i] = 1.0
     negative, singular = _eliminate(envelope, values)

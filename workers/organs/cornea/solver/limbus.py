@@ -1,4 +1,4 @@
-"""Hold a cornea at its limbus: clamped, on an elastic support, or carried by the eye."""
+"""Support of a cornea at its limbus: clamped, elastic, or moving with the eye."""
 
 from dataclasses import dataclass
 
@@ -11,9 +11,9 @@ from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
 from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
 from palpate.workers.organs.cornea.solver.surface_pressure import edges_along
 
-# A node this near to x = 0 stands on the axis of an axisymmetric section.
+# A node this close to x = 0 is on the axis of an axisymmetric section.
 AXIS_TOLERANCE_MM = 1e-6
-# Of the product of the shape functions of an edge over xi in [-1, 1].
+# Integral of the products of an edge's shape functions over xi in [-1, 1].
 _EDGE_MASS = np.array([[4.0, 2.0, -1.0], [2.0, 16.0, 2.0], [-1.0, 2.0, 4.0]]) / 15
 
 
@@ -25,7 +25,7 @@ class Limbus:
     ----------
     nodes : ndarray of int32, shape (k,)
     position_mm : ndarray, shape (k, 2)
-        In the image.
+        Positions in the image.
     mass : ndarray, shape (k, k)
         Integral of the product of two shape functions over the edges, in mm, or mm² per
         radian.
@@ -40,7 +40,7 @@ class Limbus:
     ) -> FloatArray:
         """Return the displacement at a fraction of the motion of the eye, (k, 2) in mm.
 
-        Of the limbus, or of other points that move with it as a rigid body.
+        Returned for the limbus, or for other points that move with it as a rigid body.
         """
         points_mm = self.position_mm if points_mm is None else points_mm
         x, y = load.eye_shift_mm
@@ -54,7 +54,7 @@ class Limbus:
 
 
 def limbus_of(mesh: T6Mesh, axisymmetric: bool) -> Limbus:
-    """Return the edges of a section; what stands on the axis of revolution is not one."""
+    """Return the edges of a section, except one on the axis of revolution."""
     edges = np.concatenate([edges_along(mesh.left), edges_along(mesh.right)])
     if axisymmetric:
         on_axis = np.abs(mesh.nodes_mm[edges, 0]) < AXIS_TOLERANCE_MM
@@ -76,14 +76,14 @@ def axis_nodes(mesh: T6Mesh) -> IntArray:
     Raises
     ------
     InputError
-        If a triangle lies on both sides of the axis.
+        If a triangle extends across the axis.
     """
     x = mesh.nodes_mm[:, 0]
     corners = x[mesh.triangles]
     across = (corners.min(axis=1) < -AXIS_TOLERANCE_MM) & (corners.max(axis=1) > AXIS_TOLERANCE_MM)
     if across.any():
         raise InputError(
-            f"{across.sum()} triangles of the axisymmetric section lie across its axis. "
+            f"{across.sum()} triangles of the axisymmetric section extend across its axis. "
             "Mesh the section with nodes at x = 0 mm."
         )
     return np.flatnonzero(np.abs(x) < AXIS_TOLERANCE_MM).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Follow an equilibrium from one stage of the load to another in steps that adapt."""
+"""Adaptive load steps from one equilibrium to another."""
 
 from dataclasses import dataclass
 
@@ -9,23 +9,23 @@ from palpate.workers.organs.cornea.solver.envelope_lu import Factors
 from palpate.workers.organs.cornea.solver.newton import Newton, solve_stage
 from palpate.workers.organs.cornea.solver.system import Stage, System
 
-# Shares of the way: a step below the smallest is where the path ends.
+# Fractions of the way: the path ends if a smaller step would be needed.
 SMALLEST_STEP = 1e-3
 GROWTH = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """How far an equilibrium could be followed.
+    """The result of following an equilibrium.
 
     Parameters
     ----------
     u : ndarray, shape (n, 2)
         The last displacement in equilibrium, from the image, in mm.
     reason : str
-        Why the path ended early; empty when it reached the stage asked for.
+        Why the path ended early; empty if it reached the requested stage.
     fraction : float
-        How much of the way was gone.
+        Completed fraction of the way.
     steps, cuts, iterations, factorisations : int
     min_j : float
     factors : Factors or None
@@ -50,9 +50,9 @@ def follow(
     first_step: float,
     factors: Factors | None = None,
 ) -> Path:
-    """Go from an equilibrium under `begin` to one under `end`.
+    """Follow an equilibrium from stage `begin` to stage `end`.
 
-    Each step starts from the parabola, or the line, through the last equilibria.
+    Each step starts from the parabola, or the line, through the previous equilibria.
     """
     past: list[tuple[float, FloatArray]] = [(0.0, start)]
     step, steps, cuts, iterations, factorised = first_step, 0, 0, 0, 0

@@ -1,4 +1,4 @@
-"""A mesh with what was last prepared from it, for the candidates of one process."""
+"""A mesh with its latest preparation, for the candidates of one process."""
 
 from palpate.workers.organs.cornea.material.model import CorneaModel
 from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
@@ -6,9 +6,9 @@ from palpate.workers.organs.cornea.solver.prepared_mesh import PreparedMesh, pre
 
 
 class MeshForModels:
-    """A mesh that is prepared when a model is first asked for, and again for another model.
+    """A mesh that is prepared for a model on first use, and again for another model.
 
-    Candidates of a search that varies no option of the model share one preparation.
+    Candidates of a search share one preparation unless an option of the model varies.
 
     Parameters
     ----------
@@ -20,7 +20,7 @@ class MeshForModels:
         self._last: PreparedMesh | None = None
 
     def prepared(self, model: CorneaModel) -> PreparedMesh:
-        """Return the mesh, prepared for a model.
+        """Return the mesh prepared for a model.
 
         Raises
         ------

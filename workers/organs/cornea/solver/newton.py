@@ -1,11 +1,10 @@
-"""Newton's method that keeps a factored tangent as long as it serves.
+"""Newton's method that reuses a factored tangent while it is useful.
 
-Steps are judged by the correction that would follow with the same factors, an error
-in mm that does not depend on how stiff a direction is (the natural monotonicity test;
-P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, ch. 3): the membrane of a
-cornea is a thousand times stiffer than its bending, and a residual in N says little.
-Where that correction is much shorter than the step, the factors are used again, which
-spares an assembly and a factorisation.
+Steps are judged by the next correction with the same factors, an error in mm that does not
+depend on the stiffness of a direction (the natural monotonicity test; P. Deuflhard, Newton
+Methods for Nonlinear Problems, 2004, ch. 3): the membrane of a cornea is a thousand times
+stiffer than its bending, so a residual in N is not informative. If that correction is much
+shorter than the step, the factors are reused, which saves an assembly and a factorisation.
 """
 
 from dataclasses import dataclass
@@ -18,15 +17,15 @@ from palpate.workers.organs.cornea.solver.system import Stage, System
 
 MAX_ITERATIONS = 25
 MAX_HALVINGS = 8
-# Farther than this, of any node in one iteration, the tangent says nothing.
+# Longest displacement of any node per iteration; beyond it the tangent is not valid.
 LONGEST_STEP_MM = 0.2
-# The tangent is renewed unless a correction is this much shorter than the last one.
+# The tangent is renewed unless a correction is shorter than the last one by this factor.
 KEEP_FACTORS_BELOW = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class Newton:
-    """Where Newton's method ended; `reason` is empty when it converged.
+    """The result of Newton's method; `reason` is empty if it converged.
 
     Parameters
     ----------
@@ -36,7 +35,7 @@ class Newton:
     iterations, factorisations : int
     min_j : float
     factors : Factors or None
-        The last ones, of a tangent near u.
+        The latest ones, of a tangent near u.
     """
 
     u: FloatArray
@@ -52,7 +51,7 @@ def solve_stage(
 ) -> Newton:
     """Find the equilibrium near `start`, (n, 2) in mm, under a stage of the load.
 
-    `factors` of a tangent near the start are tried first.
+    Given `factors`, of a tangent near the start, are tried first.
     """
     tolerance = system.prepared.model.tolerance_mm
     u = system.held_at(start, stage)
@@ -99,10 +98,10 @@ _Trial = tuple[FloatArray, FloatArray, float, FloatArray]
 def _line_search(
     system: System, stage: Stage, u: FloatArray, step: FloatArray, factors: Factors
 ) -> tuple[float, _Trial | None]:
-    """Shorten a step until the correction that follows is shorter than it.
+    """Shorten a step until the next correction is shorter than the step.
 
-    Returns the part of the step taken and displacement, residual, smallest J and the
-    correction there; None if no part of the step will do.
+    Returns the accepted fraction of the step, and the displacement, residual, smallest J and
+    correction there; None if no fraction is acceptable.
     """
     length = float(np.linalg.norm(step))
     part = min(1.0, LONGEST_STEP_MM / float(np.abs(step).max()))

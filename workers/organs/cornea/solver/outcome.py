@@ -1,4 +1,4 @@
-"""How the simulation of a cornea has ended, as a study records it."""
+"""The outcome of a cornea's simulation in the form recorded by a study."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +12,7 @@ from palpate.workers.organs.cornea.solver.solve import CorneaSolution
 
 @dataclass(frozen=True, eq=False)
 class CorneaOutcome:
-    """A solution, seen as the `Solution` and the `Outcome` of `workers.organs.organ`.
+    """A solution with the interfaces `Solution` and `Outcome` of `workers.organs.organ`.
 
     Parameters
     ----------
@@ -28,17 +28,17 @@ class CorneaOutcome:
 
     @property
     def outcome(self) -> "CorneaOutcome":
-        """Return itself: how the simulation has ended."""
+        """Return this object, which is also the outcome."""
         return self
 
     @property
     def converged(self) -> bool:
-        """Return whether the displacement is in equilibrium with the whole load."""
+        """Return True if the displacement is in equilibrium with the full load."""
         return self.solution.converged
 
     @property
     def reason(self) -> str:
-        """Return why it diverged; empty when it converged."""
+        """Return the reason of a divergence; empty if converged."""
         return self.solution.reason
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What a mesh and the options of a model decide, made once for many candidates."""
+"""Data that depend only on a mesh and a model's options, shared by many candidates."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ KIND_CODES = {
 
 @dataclass(frozen=True, eq=False)
 class PreparedMesh:
-    """A mesh, its unknowns and where their tangent is kept.
+    """A mesh, its unknowns and the storage of their tangent.
 
     Parameters
     ----------
@@ -37,19 +37,19 @@ class PreparedMesh:
     kind : int
         See `ogden_stress`.
     equations : ndarray of int32, shape (n, 2)
-        Unknown of each component of the displacement, -1 where it is held.
+        Unknown of each component of the displacement, -1 if it is held.
     free : tuple of ndarray
         Nodes and components of the unknowns, in their order.
     envelope : Envelope
     geometry : PointGeometry
-        Of the section in the image.
+        Geometry of the section in the image.
     stiffness : ndarray, shape (m,)
     limbus : Limbus
     posterior : SurfacePoints
     apex : int
         The highest node of the anterior surface.
     clamped : bool
-        The limbus is held, or moves as the eye does.
+        Whether the limbus is held, or moves with the eye.
     """
 
     mesh: T6Mesh
@@ -72,11 +72,11 @@ class PreparedMesh:
 
     @property
     def axisymmetric(self) -> bool:
-        """Return whether the section is revolved."""
+        """Return True if the section is revolved."""
         return self.kind == AXISYMMETRIC
 
     def spread(self, values: FloatArray) -> FloatArray:
-        """Return values of the unknowns, (..., unknowns), at the nodes, (..., n, 2)."""
+        """Return values of the unknowns, (..., unknowns), as nodal values, (..., n, 2)."""
         at_nodes = np.zeros((*values.shape[:-1], *self.equations.shape))
         at_nodes[..., self.free[0], self.free[1]] = values
         return at_nodes
@@ -90,20 +90,20 @@ def prepare(mesh: T6Mesh, model: CorneaModel, held: BoolArray | None = None) -> 
     mesh : T6Mesh
     model : CorneaModel
     held : ndarray of bool, shape (n, 2), optional
-        Components of the displacement that are zero, in place of the limbus: planes of
+        Components of the displacement that are zero, instead of the limbus; for planes of
         symmetry, for instance.
 
     Raises
     ------
     InputError
-        If a triangle is turned inside out, lies across the axis of an axisymmetric
-        section, or nothing holds the cornea.
+        If a triangle is inverted or extends across the axis of an axisymmetric section, or
+        nothing holds the cornea.
     """
     kind = KIND_CODES[model.kind]
     axisymmetric = kind == AXISYMMETRIC
     limbus = limbus_of(mesh, axisymmetric)
     if held is None and len(limbus.nodes) == 0:
-        raise InputError("The mesh of the cornea names no nodes on the limbus to hold it.")
+        raise InputError("The mesh of the cornea has no limbus nodes that could hold it.")
     clamped = held is None and model.limbus_mpa_per_mm is None
     held = np.zeros((len(mesh.nodes_mm), 2), dtype=bool) if held is None else held.copy()
     if axisymmetric:

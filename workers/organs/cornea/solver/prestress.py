@@ -1,4 +1,4 @@
-r"""Bring a cornea that was imaged under the pressure of the eye into equilibrium with it.
+r"""Equilibrium of an imaged cornea with the intraocular pressure.
 
 ==========  =========================================================================
 additive    The thesis' steps a to d: (a) the pressure acts on the section in the image,
@@ -14,8 +14,8 @@ none        The section in the image is free of stress and the pressure deforms 
 ==========  =========================================================================
 
 In plane stress the section in the image is one unit thick everywhere; with mulf and
-inverse it is thicker or thinner without pressure. An elastic support of the limbus
-carries its force from one iteration to the next as the cornea carries its stress.
+inverse it is thicker or thinner without pressure. An elastic support of the limbus keeps its
+force from one iteration to the next, as the cornea keeps its stress.
 
 References: M. A. Lago, PhD thesis, 2014, section 5.3. M. W. Gee, C. Foerster and
 W. A. Wall, Int. J. Numer. Meth. Biomed. Engng 26 (2010) 52-72. M. Sellier, Comput. Mech.
@@ -35,7 +35,7 @@ from palpate.workers.organs.cornea.solver.system import Prestress, Stage, System
 from palpate.workers.organs.cornea.solver.t6_assembly import deformed_state
 
 MAX_ITERATIONS = 40
-# The distance from the image must not grow between iterations; it may halt once or twice.
+# The distance from the image must not grow between iterations, with this many exceptions.
 MAX_STALLED = 3
 
 NO_LOAD = Stage(0.0, 0.0, 0.0)
@@ -43,7 +43,7 @@ NO_LOAD = Stage(0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """One simulation under the pressure of the eye: the state it began from, and its end."""
+    """One simulation under the intraocular pressure: its initial state and its displacement."""
 
     prestress: Prestress
     u: FloatArray
@@ -51,16 +51,16 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class PrestressedSystem:
-    """A cornea in equilibrium with the pressure of the eye, or why there is none.
+    """A cornea in equilibrium with the intraocular pressure, or the reason of a failure.
 
     Parameters
     ----------
     system : System
     u : ndarray, shape (n, 2)
-        Displacement from the image: zero to the tolerance, but with the method "none".
+        Displacement from the image: zero to the tolerance, except with the method "none".
     reason : str
     iterates : tuple of Iterate
-        What led here, in order.
+        The iterations, in order.
     newton_iterations, factorisations, load_steps, cuts : int
     """
 
@@ -75,7 +75,7 @@ class PrestressedSystem:
 
 
 def prestressed(system: System) -> PrestressedSystem:
-    """Find the state of a cornea in which the pressure of the eye does not move it."""
+    """Find the state in which the intraocular pressure does not move a cornea."""
     stage = system.image_stage
     zero = np.zeros_like(system.prepared.mesh.nodes_mm)
     if stage.iop_mpa == 0:
@@ -89,7 +89,7 @@ def prestressed(system: System) -> PrestressedSystem:
 
 
 def advance(system: System, u: FloatArray) -> Prestress:
-    """Return the state to begin from after a simulation from the present one gave u."""
+    """Return the next initial state, given the displacement u from the current one."""
     prepared, prestress = system.prepared, system.prestress
     method = prepared.model.prestress
     inside = system.from_rest(u)
@@ -106,7 +106,7 @@ def advance(system: System, u: FloatArray) -> Prestress:
 
 
 def _iterate(system: System, path: Path) -> PrestressedSystem:
-    """Repeat the simulation until the cornea stays as it is in the image."""
+    """Repeat the simulation until the cornea matches the image."""
     model, stage = system.prepared.model, system.image_stage
     u, factors = path.u, path.factors
     iterates: list[Iterate] = []
@@ -134,7 +134,7 @@ def _iterate(system: System, path: Path) -> PrestressedSystem:
         newton += result.iterations
         factorised += result.factorisations
         if result.reason and model.prestress == "inverse":
-            # The image is far from where the section without pressure leads: go there.
+            # The image is far from the result of the section without pressure: approach it.
             rest = system.prestress.rest_mm - system.prepared.mesh.nodes_mm
             result = follow(system, rest, NO_LOAD, stage, first_step=1.0)
             newton += result.iterations

@@ -1,7 +1,7 @@
-r"""How a deformed cornea moves when a parameter changes: one linear solve each.
+r"""Derivatives of a deformed cornea by parameters: one linear solve each.
 
-At an equilibrium the out-of-balance force R(u, s; phi) vanishes, s the state that the
-iteration for the prestress left. Its iterates are
+At an equilibrium the out-of-balance force R(u, s; phi) vanishes, with the state s from the
+prestress iteration. Its iterates are
 
 .. math:: R(u_k, s_k; \phi) = 0, \quad s_{k+1} = g(u_k, s_k; \phi),
 
@@ -10,13 +10,13 @@ and each is differentiated in turn with its own tangent K,
 .. math:: K_k \, du_k = - \partial_\phi R - \partial_s R \, ds_k, \quad
           ds_{k+1} = \partial_u g \, du_k + \partial_s g \, ds_k + \partial_\phi g,
 
-then the equilibrium under the jet in the same way. This is the derivative of what
-`solve` computes, the iteration included. The right sides are central differences of
-forces and states at the same place, a `STEP` of the parameter's scale apart, which costs
-no solve; against differences of whole solutions they are right to 1e-6.
+then the equilibrium under the jet in the same way. This is the derivative of the result of
+`solve`, including the iteration. The right-hand sides are central differences of forces and
+states at the same displacement, with a step of `STEP` times the parameter's scale, which need no
+solve; compared with differences of whole solutions they are accurate to 1e-6.
 
-Where the edge of a uniform jet lies exactly on a node, the derivative by its centre or
-width has a kink, and what is returned is the mean of both sides.
+If the edge of a uniform jet is exactly on a node, the derivative by its centre or width is
+discontinuous, and the mean of both sides is returned.
 """
 
 from collections.abc import Sequence
@@ -32,15 +32,16 @@ from palpate.workers.organs.cornea.solver.prestress import Iterate, advance
 from palpate.workers.organs.cornea.solver.solve import CorneaSolution, Equilibrium, equilibrium
 from palpate.workers.organs.cornea.solver.system import Prestress, System, system_of
 
-# Of the scale of a parameter: errors of truncation and rounding are then about 1e-9.
+# Relative to the scale of a parameter: truncation and rounding errors are then about 1e-9.
 STEP = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """Two candidates on either side of the present one, `step` from it in a parameter.
+    """Two candidates on either side of the current one, `step` from it in a parameter.
 
-    The meshes may differ, but not in their triangles: an error of the thickness, for
+    Their meshes may differ, but not in the triangles: an error of the thickness, for instance,
+    moves the nodes.
     instance, moves the nodes.
     """
 
@@ -57,8 +58,8 @@ class Sensitivity:
     ----------
     solution : CorneaSolution
     derivatives : ndarray, shape (parameters, n, 2)
-        Of the displacement, in mm per unit of each parameter; nan if the solution did
-        not converge.
+        Derivatives of the displacement, in mm per unit of each parameter; nan if the solution
+        did not converge.
     """
 
     solution: CorneaSolution
@@ -71,7 +72,7 @@ def change_of(candidate: Candidate, name: str) -> Change:
     Raises
     ------
     InputError
-        If there is no such parameter, or it is a pressure of zero.
+        If the parameter is unknown, or is a pressure of zero.
     """
     step = STEP * scale_of(candidate, name)
     if name in ("iop_mpa", "jet_pressure_mpa") and getattr(candidate.load, name) == 0:
@@ -90,7 +91,7 @@ def sensitivity(
     changes : sequence of Change or str
         Changes, or names of parameters.
     at : Equilibrium, optional
-        Of the candidate, where it is solved already.
+        Equilibrium of the candidate, if it is already solved.
 
     Raises
     ------
@@ -121,18 +122,18 @@ def sensitivity(
 
 
 class _Track:
-    """The derivative by one parameter, carried through the iterates.
+    """The derivative by one parameter, propagated through the iterates.
 
     Parameters
     ----------
     change : Change
     system : System
-        The present one.
+        The current system.
 
     Attributes
     ----------
     du : ndarray, shape (n, 2)
-        Of the displacement.
+        Derivative of the displacement.
     """
 
     def __init__(self, change: Change, system: System) -> None:
@@ -157,7 +158,7 @@ class _Track:
         self.du = carried + plus.prepared.spread(-factors.solve(change))
 
     def advance(self, iterate: Iterate) -> None:
-        """Carry the derivative over to the state after an iterate."""
+        """Propagate the derivative to the state after an iterate."""
         h = self._step
         plus, minus = self._either_side(iterate.prestress)
         pairs = zip(
@@ -168,10 +169,10 @@ class _Track:
         self._ds = Prestress(*((a - b) / (2 * h) for a, b in pairs))
 
     def _carried(self, motion: float) -> FloatArray:
-        """Return the derivative of the motion of the eye, if the limbus is clamped to it.
+        """Return the derivative of the eye's motion, if the limbus is clamped to it.
 
-        Of all nodes: carried along as a rigid body, the triangles at the limbus are not
-        strained by the difference.
+        It is returned for all nodes: as they move as a rigid body, the triangles at the limbus
+        are not strained by the difference.
         """
         if not self._plus.prepared.clamped:
             return np.zeros_like(self.du)

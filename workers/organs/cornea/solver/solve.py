@@ -1,4 +1,4 @@
-"""Solve a cornea under the pressure of the eye and an air jet."""
+"""Solution of a cornea under the intraocular pressure and an air jet."""
 
 from dataclasses import dataclass
 
@@ -12,38 +12,38 @@ from palpate.workers.organs.cornea.solver.prepared_mesh import PreparedMesh
 from palpate.workers.organs.cornea.solver.prestress import PrestressedSystem, prestressed
 from palpate.workers.organs.cornea.solver.system import system_of
 
-# Share of the jet in the first step.
+# Fraction of the jet in the first step.
 FIRST_STEP = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorneaSolution:
-    """How a cornea deforms, and how that was found.
+    """The deformation of a cornea, and how it was found.
 
-    Not to converge is an ordinary ending with its reason; the displacement is then the
-    last one in equilibrium.
+    Divergence is an ordinary outcome with its reason; the displacement is then the last one in
+    equilibrium.
 
     Parameters
     ----------
     displacement_mm : ndarray, shape (n, 2)
-        From the image of the undeformed cornea.
+        Relative to the image of the undeformed cornea.
     converged : bool
     reason : str
-        Why it did not converge; empty when it did.
+        Why it did not converge; empty if it did.
     apex_displacement_um : float
-        Of the highest node of the anterior surface, positive into the eye.
+        Displacement of the highest node of the anterior surface, positive into the eye.
     newton_iterations, factorisations : int
-        Prestress and jet together.
+        Totals of prestress and jet.
     prestress_iterations : int
     load_steps, cuts : int
-        Steps of the load in equilibrium, and steps that had to be halved.
+        Load steps in equilibrium, and steps that had to be halved.
     jet_fraction : float
-        Share of the jet in equilibrium; 1 when it converged.
+        Fraction of the jet in equilibrium; 1 if it converged.
     min_j : float
         Smallest volume ratio.
     stable : bool
-        The tangent at the end has no negative pivot. An unstable equilibrium is one that
-        a snap-through would leave.
+        Whether the tangent at the end has no negative pivot. A snap-through would leave an
+        unstable equilibrium.
     """
 
     displacement_mm: FloatArray
@@ -68,7 +68,7 @@ def solve_prepared(
     Raises
     ------
     InputError
-        If the jet reaches beyond the cornea.
+        If the jet extends beyond the cornea.
     """
     return equilibrium(prepared, constants, load).solution
 
@@ -84,7 +84,7 @@ class Equilibrium:
 def equilibrium(
     prepared: PreparedMesh, constants: CorneaConstants, load: CorneaLoad
 ) -> Equilibrium:
-    """Solve one candidate and keep what its derivatives need."""
+    """Solve one candidate and keep the data for its derivatives."""
     rest = prestressed(system_of(prepared, constants, load))
     if rest.reason:
         return Equilibrium(rest, _solution(rest, None, False))

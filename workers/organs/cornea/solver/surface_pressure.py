@@ -1,14 +1,14 @@
-r"""Pressure on a curved surface that deforms, with its load stiffness.
+r"""Pressure on a deforming curved surface, with its load stiffness.
 
 A surface runs from left to right along quadratic edges. With the tangent
-:math:`t = \sum_m N_m' x_m` and Q a quarter turn to the left, a pressure p that pushes
-against the left normal gives the nodes
+:math:`t = \sum_m N_m' x_m` and Q a quarter turn to the left, a pressure p against the left
+normal gives the nodal forces
 
 .. math:: f_n = - \int p \, N_n \, Q t \, d\xi \quad (\text{times } r \text{ per radian}).
 
-What is pressed is a piece of the undeformed surface. An edge that a jet covers in part
-is integrated over the covered part only, and an edge that holds a corner of the profile
-is integrated piece by piece, so the force has no error of quadrature.
+The pressure acts on a piece of the undeformed surface. An edge partly covered by a jet is
+integrated over the covered part only, and an edge that contains a corner of the profile is
+integrated piecewise, so the force has no quadrature error.
 
 References: K. Schweizerhof and E. Ramm, Comput. Struct. 18 (1984) 1099-1114.
 """
@@ -27,7 +27,7 @@ from palpate.workers.organs.cornea.solver.envelope_lu import Envelope
 
 # Four points: degree 7, for N (2), t (1), r (2) and a linear pressure (2).
 _GAUSS, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
-# Edges are cut no closer to their ends than this, of their length.
+# Edges are cut no closer to their ends than this fraction of their length.
 _NEGLIGIBLE = 1e-12
 _NEGLIGIBLE_MM = 1e-9
 
@@ -42,8 +42,8 @@ class SurfacePoints(NamedTuple):
     shape, slope : ndarray, shape (k, 3)
         Shape functions and their derivative by xi.
     weights : ndarray, shape (k,)
-        Fraction of the pressure times the weight of the point; negative where the
-        pressure pushes along the left normal.
+        Fraction of the pressure times the weight of the point; negative if the pressure acts
+        along the left normal.
     side : ndarray, shape (k,)
         Sign of the radius, or zero in a plane.
     """
@@ -56,12 +56,12 @@ class SurfacePoints(NamedTuple):
 
 
 def edges_along(surface: IntArray) -> IntArray:
-    """Return the edges (start, middle, end), (k, 3), of nodes in a row."""
+    """Return the edges (start, middle, end), (k, 3), of a row of nodes."""
     return np.stack([surface[:-2:2], surface[1:-1:2], surface[2::2]], axis=1)
 
 
 def posterior_points(nodes_mm: FloatArray, surface: IntArray, axisymmetric: bool) -> SurfacePoints:
-    """Return the points of a surface that is pressed along its left normal everywhere."""
+    """Return the points of a surface under a pressure along its left normal."""
     edges = edges_along(surface)
     pieces = [(e, -1.0, 1.0) for e in range(len(edges))]
     points = _points(nodes_mm, edges, pieces, axisymmetric)
@@ -76,13 +76,13 @@ def jet_points(
     Raises
     ------
     InputError
-        If the jet reaches beyond the surface.
+        If the jet extends beyond the surface.
     """
     profile = load.profile
     r_mm = np.asarray(profile.r_mm)
     left, right = load.jet_centre_mm - r_mm[-1], load.jet_centre_mm + r_mm[-1]
     x = nodes_mm[surface, 0]
-    # An axisymmetric section may be one half.
+    # An axisymmetric section may be only one half.
     begin = left if not axisymmetric else max(left, min(x[0], 0.0))
     if begin < x[0] - _NEGLIGIBLE_MM or right > x[-1] + _NEGLIGIBLE_MM:
         raise InputError(
@@ -91,7 +91,7 @@ def jet_points(
         )
     if axisymmetric and load.jet_centre_mm != 0:
         raise InputError(
-            "The jet on an axisymmetric cornea is centred, got the centre "
+            "The jet on an axisymmetric cornea must be centred, got the centre "
             f"{load.jet_centre_mm:g} mm. Choose plane stress or plane strain to move it."
         )
     edges = edges_along(surface)
@@ -117,8 +117,8 @@ def _shape(xi: FloatArray) -> FloatArray:
 
 
 def _where_on_edge(start: float, middle: float, end: float, x: float) -> float:
-    """Return xi at which an edge with ascending x passes x."""
-    # a xi^2 + b xi + c = 0 in the form that does not cancel for a straight edge.
+    """Return xi at which an edge with ascending x crosses x."""
+    # a xi^2 + b xi + c = 0, in a form without cancellation for a straight edge.
     a, b, c = (start + end) / 2 - middle, (end - start) / 2, middle - x
     return -2 * c / (b + math.sqrt(b * b - 4 * a * c))
 
@@ -151,7 +151,7 @@ def add_pressure(
     envelope: Envelope,
     values: FloatArray,
 ) -> None:
-    """Take the force of a pressure from the residual, and its stiffness from the tangent.
+    """Subtract the force of a pressure from the residual, and its stiffness from the tangent.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def add_pressure(
             wn = w * points.shape[k, n]
             row1 = equations[points.nodes[k, n], 0]
             row2 = equations[points.nodes[k, n], 1]
-            # The force is -w N Q t r, Q t = (-t2, t1); the residual is internal less external.
+            # The force is -w N Q t r, Q t = (-t2, t1); the residual is internal minus external.
             if row1 >= 0:
                 residual[row1] -= wn * t2 * radius
             if row2 >= 0:

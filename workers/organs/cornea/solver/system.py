@@ -1,4 +1,4 @@
-"""The equations of a cornea: its out-of-balance force and tangent under a stage of the load."""
+"""The equations of a cornea: out-of-balance force and tangent under a stage of the load."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from palpate.workers.organs.cornea.solver.t6_assembly import NOTHING, Elements, 
 
 
 class Prestress(NamedTuple):
-    """The state of a cornea in the image; each method of `prestress` uses a part of it.
+    """The state of the imaged cornea; each method of `prestress` uses a part of it.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Prestress(NamedTuple):
     rest_mm : ndarray, shape (n, 2)
         Nodes without pressure.
     support_mm : ndarray, shape (k, 2)
-        Where the elastic support of the limbus carries no force.
+        Positions at which the elastic support of the limbus carries no force.
     """
 
     initial_stress: FloatArray
@@ -78,7 +78,7 @@ class System:
 
     @property
     def image_stage(self) -> Stage:
-        """Return the stage that the image of the undeformed cornea shows."""
+        """Return the stage in the image of the undeformed cornea."""
         return Stage(self.load.iop_mpa, 0.0, 0.0)
 
     @property
@@ -88,16 +88,16 @@ class System:
         return Stage(load.iop_mpa + load.iop_rise_mpa, load.jet_pressure_mpa, 1.0)
 
     def with_prestress(self, prestress: Prestress) -> "System":
-        """Return the cornea in another state."""
+        """Return the system in another state of prestress."""
         elements = _elements(self.prepared, prestress)
         return replace(self, prestress=prestress, elements=elements)
 
     def from_rest(self, u: FloatArray) -> FloatArray:
-        """Return the displacement from the place of the prestretch, of one from the image."""
+        """Return a displacement relative to the prestretch, given one relative to the image."""
         return u + (self.prepared.mesh.nodes_mm - self.prestress.rest_mm)
 
     def held_at(self, u: FloatArray, stage: Stage) -> FloatArray:
-        """Return a displacement with the clamped limbus where the stage holds it."""
+        """Return a displacement with the clamped limbus at its position in the stage."""
         if not self.prepared.clamped:
             return u
         u = u.copy()
@@ -159,12 +159,12 @@ class System:
 
 
 def system_of(prepared: PreparedMesh, constants: CorneaConstants, load: CorneaLoad) -> System:
-    """Return a cornea that is free of stress in the image.
+    """Return a cornea that is stress-free in the image.
 
     Raises
     ------
     InputError
-        If the jet reaches beyond the cornea.
+        If the jet extends beyond the cornea.
     """
     mesh = prepared.mesh
     jet = jet_points(mesh.nodes_mm, mesh.anterior, load, prepared.axisymmetric)
@@ -183,7 +183,7 @@ def system_of(prepared: PreparedMesh, constants: CorneaConstants, load: CorneaLo
 
 
 def _elements(prepared: PreparedMesh, prestress: Prestress) -> Elements:
-    """Return the triangles against their stress-free state."""
+    """Return the triangles relative to their stress-free state."""
     method = prepared.model.prestress
     geometry = prepared.geometry
     if method == "inverse" and prestress.rest_mm is not prepared.mesh.nodes_mm:

@@ -1,10 +1,10 @@
 r"""Out-of-balance force and tangent of 6-node triangles, total Lagrangian.
 
-An element is described against its stress-free state. With the gradient
+An element is described relative to its stress-free state. With the gradient
 :math:`F_0` from that state to the one in the image (1 without pre-stretch), the total
 gradient is :math:`F = F_0 + \sum_n u_n \otimes \tilde G_n`, :math:`\tilde G_n = G_n F_0`,
-where G are gradients in the image; with weights :math:`w / \det F_0` nothing else changes.
-The stress may have an initial part, :math:`S = S(F) + S_0`.
+where G are gradients in the image; except for weights :math:`w / \det F_0` nothing else
+changes. The stress may have an initial part, :math:`S = S(F) + S_0`.
 
 With the nominal stress P = F S and its slope
 
@@ -12,7 +12,7 @@ With the nominal stress P = F S and its slope
 
 the force of node n is :math:`w P_{iJ} G_{nJ}` and the tangent between nodes n and m
 :math:`w G_{nJ} A_{iJkL} G_{mL}`. An axisymmetric section has the hoop as a fifth component,
-with N/R for a gradient. The six nodes of a triangle lie side by side in a short vector.
+with N/R as its gradient. The six nodes of a triangle are contiguous in a short vector.
 """
 
 from typing import NamedTuple
@@ -37,15 +37,15 @@ class Elements(NamedTuple):
     ----------
     triangles : ndarray of int32, shape (m, 6)
     gradients : ndarray, shape (m, q, 2, 8)
-        Of the six shape functions in the stress-free state, in 1/mm.
+        Gradients of the six shape functions in the stress-free state, in 1/mm.
     hoop : ndarray, shape (m, q, 8)
         Shape functions over the stress-free radius in 1/mm.
     weights : ndarray, shape (m, q)
         Stress-free measure of a point.
     prestretch : ndarray, shape (m, q, 4)
-        F11, F12, F21, F22 where the displacement is zero.
+        F11, F12, F21, F22 at zero displacement.
     out_of_plane : ndarray, shape (m, q)
-        Stretch of the hoop where the displacement is zero.
+        Hoop stretch at zero displacement.
     initial_stress : ndarray, shape (m, q, 4)
         S11, S22, S12, S33 in MPa.
     stiffness : ndarray, shape (m,)
@@ -66,7 +66,7 @@ class Elements(NamedTuple):
 def _deformation(
     u: FloatArray, elements: Elements, e: int, q: int
 ) -> tuple[float, float, float, float, float]:
-    """Return F11, F12, F21, F22 and the stretch of the hoop."""
+    """Return F11, F12, F21, F22 and the hoop stretch."""
     f11, f12 = elements.prestretch[e, q, 0], elements.prestretch[e, q, 1]
     f21, f22 = elements.prestretch[e, q, 2], elements.prestretch[e, q, 3]
     f33 = elements.out_of_plane[e, q]
@@ -194,7 +194,7 @@ def assemble(
     kind : int
         See `ogden_stress`.
     equations : ndarray of int32, shape (n, 2)
-        Unknown of each component, -1 where it is held.
+        Unknown of each component, -1 if it is held.
     residual : ndarray, shape (unknowns,)
         In N per mm of thickness, or N per radian.
     envelope : Envelope
@@ -203,8 +203,8 @@ def assemble(
     Returns
     -------
     float
-        Smallest volume ratio; zero, and the rest meaningless, if a triangle is turned
-        inside out.
+        Smallest volume ratio; zero, with the other results meaningless, if a triangle is
+        inverted.
     """
     S, D, A = np.empty(4), np.empty((4, 4)), np.empty((5, 5))
     powers = np.empty((len(law.exponent), 3))
@@ -258,7 +258,7 @@ def assemble(
 def deformed_state(
     u: FloatArray, elements: Elements, law: OgdenLaw, kind: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the total gradient, the stretch out of the plane and the total stress.
+    """Return the total gradient, the out-of-plane stretch and the total stress.
 
     Returns
     -------
@@ -266,7 +266,7 @@ def deformed_state(
         F11, F12, F21, F22 from the stress-free state.
     out_of_plane : ndarray, shape (m, q)
     stress : ndarray, shape (m, q, 4)
-        S11, S22, S12, S33 in MPa, the initial stress included.
+        S11, S22, S12, S33 in MPa, including the initial stress.
     """
     m, points = elements.weights.shape
     gradient, stress = np.empty((m, points, 4)), np.empty((m, points, 4))

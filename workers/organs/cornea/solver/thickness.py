@@ -1,4 +1,4 @@
-"""A section whose posterior surface lies deeper than it was seen."""
+"""A section whose posterior surface is deeper than it appears."""
 
 from dataclasses import replace
 
@@ -10,27 +10,27 @@ from palpate.workers.organs.cornea.solver.candidate import Candidate
 from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
 from palpate.workers.organs.cornea.solver.sensitivity import Change
 
-# Differences step by this part of a millimetre.
+# Difference step in millimetres.
 STEP_MM = 1e-5
 
 
 def thickness_change(candidate: Candidate) -> Change:
-    """Return candidates on either side with a cornea that is thicker everywhere, per mm."""
+    """Return the change to a uniformly thicker cornea, per mm."""
     plus, minus = (thickened(candidate, sign * STEP_MM) for sign in (1, -1))
     return Change(plus, minus, STEP_MM)
 
 
 def thickened(candidate: Candidate, by_mm: float, sideways: float = 0.0) -> Candidate:
-    """Return a candidate whose posterior surface lies deeper.
+    """Return a candidate with a deeper posterior surface.
 
     Parameters
     ----------
     candidate : Candidate
     by_mm : float
-        Along the normal; negative makes the cornea thinner.
+        Distance along the normal; negative makes the cornea thinner.
     sideways : float
-        Of -1 to 1: 0 moves all of the surface alike, 1 the middle and not the edges, as a
-        distortion does that grows towards the middle of an image.
+        From -1 to 1: 0 moves the whole surface alike, 1 the middle but not the edges, like a
+        distortion that grows towards the middle of an image.
     """
     prepared = candidate.prepared
     nodes = deeper(prepared.mesh, by_mm, sideways)
@@ -39,7 +39,7 @@ def thickened(candidate: Candidate, by_mm: float, sideways: float = 0.0) -> Cand
 
 
 def deeper(mesh: T6Mesh, by_mm: float, sideways: float = 0.0) -> FloatArray:
-    """Return the nodes of a mesh whose posterior surface was moved; those between follow."""
+    """Return the nodes of a mesh with a moved posterior surface; those in between follow."""
     x = mesh.nodes_mm
     above, normal = _nearest(x, x[mesh.anterior])
     below, _ = _nearest(x, x[mesh.posterior])

@@ -1,4 +1,4 @@
-"""What an image can tell of the constants, against the inventory and against refits."""
+"""Identifiability of the constants, against the inventory and against refits."""
 
 from dataclasses import replace
 
@@ -51,8 +51,8 @@ def information(contour: FittedContour) -> Information:
     return information_of(X1, contour)
 
 
-def test_singular_values_and_bounds_are_those_of_the_inventory(information: Information) -> None:
-    """Of X1 at 112.5 mmHg: 834, 7.6, 0.135 and 0.0094 um; 10, 56, 9 and 1.9 % in pixels of 2 um."""
+def test_singular_values_and_bounds_match_the_inventory(information: Information) -> None:
+    """For X1 at 112.5 mmHg: 834, 7.6, 0.135 and 0.0094 um; 10, 56, 9 and 1.9 % at 2 um pixels."""
     assert information.singular_values_um == pytest.approx((834, 7.6, 0.135, 0.0094), rel=0.05)
     bounds = 100 * information.bounds(pixel_rounding(2.0))
     assert bounds == pytest.approx((10, 56, 9, 1.9), rel=0.07)
@@ -60,8 +60,8 @@ def test_singular_values_and_bounds_are_those_of_the_inventory(information: Info
     assert shear_modulus_bound(X1.constants, information, pixel_rounding(2.0)) < 0.01
 
 
-def test_a_bound_is_the_scatter_of_linear_fits(information: Information) -> None:
-    """Refits of one combination to contours with noise scatter as its bound says."""
+def test_bound_equals_the_scatter_of_linear_fits(information: Information) -> None:
+    """Refits of one combination to noisy contours scatter by its bound."""
     noise = pixel_rounding(2.0)
     gram = information.gram_um2_mm[:1, :1]
     one = Information(information.names[:1], information.values[:1], gram, information.length_mm)
@@ -73,7 +73,7 @@ def test_a_bound_is_the_scatter_of_linear_fits(information: Information) -> None
     assert fits.std() == pytest.approx(one.bounds(noise)[0], rel=0.1)
 
 
-def test_several_pressures_tell_more_than_one(information: Information) -> None:
+def test_several_pressures_give_more_information_than_one(information: Information) -> None:
     noise = pixel_rounding(2.0)
     several = information_of_pressures(X1, (0.25, 0.5, 0.75, 1.0))
     assert several is not None
@@ -83,19 +83,19 @@ def test_several_pressures_tell_more_than_one(information: Information) -> None:
     assert twice.bounds(noise) == pytest.approx(information.bounds(noise) / np.sqrt(2), rel=1e-3)
 
 
-def test_outside_the_window_nothing_is_seen(contour: FittedContour) -> None:
+def test_contour_is_limited_to_the_window(contour: FittedContour) -> None:
     half = fitted_contour(X1, (-20.0, 0.0))
     assert half is not None
     assert half.length_mm.sum() == pytest.approx(contour.length_mm.sum() / 2, rel=0.01)
 
 
-def test_the_stress_of_a_term_of_exponent_two_is_neo_hookean() -> None:
+def test_stress_of_exponent_two_is_neo_hookean() -> None:
     stretch = np.array([0.9, 1.0, 1.1])
     stress = uniaxial_stress_mpa(CorneaConstants((0.5,), (2.0,)), stretch)
     assert stress == pytest.approx(0.5 * (stretch**2 - 1 / stretch))
 
 
-def test_the_interval_of_the_curve_opens_beyond_the_attained_stretches(
+def test_stress_interval_widens_beyond_attained_stretches(
     information: Information,
 ) -> None:
     noise = pixel_rounding(2.0)
@@ -106,12 +106,12 @@ def test_the_interval_of_the_curve_opens_beyond_the_attained_stretches(
     assert relative[1] > 3 * relative[0]
 
 
-def test_stretches_of_a_uniform_stretch() -> None:
+def test_attained_stretches_of_a_uniform_stretch() -> None:
     u = 0.02 * X1.prepared.mesh.nodes_mm
     assert attained_stretches(X1, u) == pytest.approx((1.02, 1.02))
 
 
-def test_a_profile_lies_below_the_misfit_of_the_constant_alone() -> None:
+def test_profile_is_below_the_misfit_without_refitting() -> None:
     small = eye(240, X1.constants)
     contour = fitted_contour(small)
     assert contour is not None
@@ -123,12 +123,12 @@ def test_a_profile_lies_below_the_misfit_of_the_constant_alone() -> None:
     assert (profile.misfit_um[[0, 2]] < 0.02 * alone).all()
 
 
-def test_a_step_of_the_logarithm_multiplies_a_constant() -> None:
+def test_step_of_the_logarithm_multiplies_a_constant() -> None:
     name = "alpha2"
     moved = stepped(X1, {name: np.log(1.1)})
     assert scale_of(moved, name) == pytest.approx(88.0)
 
 
-def test_what_does_not_converge_again_is_said() -> None:
+def test_diverging_candidate_has_no_contour() -> None:
     soft = replace(X1, constants=CorneaConstants((2e-5,), (2.0,)))
     assert fitted_contour(soft) is None

@@ -1,4 +1,4 @@
-"""Exact areas and distances agree with shapes worked by hand and with drawn pixels."""
+"""Exact areas and distances against shapes calculated by hand and against rasterised ones."""
 
 import math
 import time
@@ -39,12 +39,12 @@ def slab(x0: float, y0: float, x1: float, y1: float) -> Section:
     )
 
 
-def test_areas_worked_by_hand() -> None:
+def test_areas_calculated_by_hand() -> None:
     assert overlap_areas(box(0, 0, 2, 2), box(1, 1, 4, 3)) == pytest.approx((4, 6, 1))
     assert overlap_areas(box(0, 0, 1, 1), box(2, 0, 3, 1)) == pytest.approx((1, 1, 0))
     diamond = np.array([[0.5, -0.5], [1.5, 0.5], [0.5, 1.5], [-0.5, 0.5]])
     assert overlap_areas(box(0, 0, 1, 1), diamond) == pytest.approx((1, 2, 1))
-    # A C-shape, which no vertical line cuts in one piece, against a bar through its mouth.
+    # A C-shape, which a vertical line cuts into several pieces, and a bar through its opening.
     c = np.array([[0, 0], [3, 0], [3, 1], [1, 1], [1, 2], [3, 2], [3, 3], [0, 3]], dtype=float)
     assert overlap_areas(c, box(2, -1, 2.5, 4)) == pytest.approx((7, 2.5, 1))
 
@@ -59,12 +59,12 @@ def test_areas_of_rotated_squares_match_the_octagon() -> None:
         assert (area_a, area_b, both) == pytest.approx((4, 4, exact))
 
 
-def test_a_shifted_slab_scores_as_worked_by_hand() -> None:
+def test_score_of_a_shifted_slab_calculated_by_hand() -> None:
     score = SectionTarget(slab(0, 0, 10, 1)).score(slab(0, 0.1, 10, 1.1))
     assert score.jc == pytest.approx(0.9 / 1.1)
-    # Long sides are 0.1 mm apart. The short sides overlap over 0.9 mm at no distance; the rest,
-    # 0.1 mm on each of two edges, is 0.05 mm away on average. Near the corners, the distance
-    # of a long side that lies inside the other slab falls to the edge: 2 (0.1^2 / 2) less.
+    # Long sides are 0.1 mm apart. The short sides coincide over 0.9 mm; the rest, 0.1 mm on each
+    # of two edges, is 0.05 mm away on average. Near the corners, the distance of a long side
+    # inside the other slab falls towards the edge: 2 (0.1^2 / 2) less.
     length = 2 * 10 + 2 * 1
     total = 2 * 10 * 0.1 - 2 * 0.1**2 / 2 + 2 * 0.1 * 0.05
     assert score.mhd_um == pytest.approx(1000 * total / length, rel=1e-4)
@@ -83,15 +83,15 @@ def test_identical_sections_have_no_distance() -> None:
     [(0.88,), (0.6,), (0.0,), (0.9, 2.0, 0.2), (0.9, 1.2), (2.5,)],
     ids=["close", "stiffer", "undeformed", "off-centre", "narrow", "snapped"],
 )
-def test_the_score_agrees_with_drawn_pixels(candidate: tuple[float, ...]) -> None:
+def test_score_matches_rasterised_sections(candidate: tuple[float, ...]) -> None:
     exact = SectionTarget(dented(0.9), pixel_um=4.0).score(dented(*candidate))
     jc, mhd_um = rasterised_score(dented(*candidate), dented(0.9), pixel_um=4.0)
     assert exact.jc == pytest.approx(jc, abs=2e-4)
-    # Drawn distances are whole steps between pixel centres.
+    # Rasterised distances are between pixel centres.
     assert abs(exact.mhd_um - mhd_um) < 0.25 * 4.0
 
 
-def test_the_difference_from_drawn_pixels_falls_with_their_size() -> None:
+def test_difference_from_rasterised_score_falls_with_pixel_size() -> None:
     exact = SectionTarget(dented(0.9)).score(dented(0.6, 1.5, 0.3))
     errors = []
     for pixel_um in (16.0, 4.0):
@@ -101,7 +101,7 @@ def test_the_difference_from_drawn_pixels_falls_with_their_size() -> None:
     assert errors[1][1] < 0.5 * errors[0][1]
 
 
-def test_the_score_is_symmetric_and_falls_as_sections_come_closer() -> None:
+def test_score_is_symmetric_and_falls_for_closer_sections() -> None:
     a, b = dented(0.9), dented(0.6, 1.5, 0.3)
     there, back = SectionTarget(a).score(b), SectionTarget(b).score(a)
     assert (there.jc, there.mhd_um) == pytest.approx((back.jc, back.mhd_um))
@@ -109,7 +109,7 @@ def test_the_score_is_symmetric_and_falls_as_sections_come_closer() -> None:
     assert np.all(np.diff(scores) < 0)
 
 
-def test_a_candidate_is_scored_in_less_than_20_ms() -> None:
+def test_scoring_takes_less_than_20_ms() -> None:
     target, candidate = SectionTarget(dented(0.9)), dented(0.6)
     target.score(candidate)
     durations = []
@@ -121,7 +121,7 @@ def test_a_candidate_is_scored_in_less_than_20_ms() -> None:
     assert min(durations) < 0.020
 
 
-def test_bad_targets_are_refused() -> None:
+def test_rejects_invalid_targets() -> None:
     with pytest.raises(InputError, match="positive size"):
         SectionTarget(SECTION, pixel_um=0.0)
     with pytest.raises(InputError, match="no area"):

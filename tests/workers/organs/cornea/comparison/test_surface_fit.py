@@ -1,4 +1,4 @@
-"""The least-squares problem of a cornea: its derivatives, its optimum, and its information."""
+"""The least-squares problem of a cornea: derivatives, optimum, and information."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -34,7 +34,7 @@ BOUNDS = {"mu1_pa": (1, 40e3), "alpha1": (0.1, 100), "mu2_pa": (1, 40e3), "alpha
 
 
 class Eye:
-    """A mesh of 160 triangles and the target that X1 makes of it."""
+    """A mesh of 160 triangles and a target simulated with X1."""
 
     def __init__(self) -> None:
         case = {"organ": "cornea", "mesh": {"elements": 160}}
@@ -80,29 +80,29 @@ def eye() -> Eye:
     return Eye()
 
 
-def test_the_displacement_is_that_of_the_solver(eye: Eye) -> None:
+def test_displacement_matches_the_solver(eye: Eye) -> None:
     solved = ORGAN.solve(eye.model, eye.problem(NEAR)).displacement_mm
     np.testing.assert_array_equal(eye.fitted(NEAR).solution.displacement_mm, solved)
 
 
 @pytest.mark.parametrize("name", list(NEAR))
-def test_the_gradient_is_that_of_the_sum_of_squares(eye: Eye, name: str) -> None:
-    """But for the chords of the target's surface, over which the nearest point jumps."""
+def test_gradient_matches_the_sum_of_squares(eye: Eye, name: str) -> None:
+    """Except across the target's vertices, where the nearest point jumps."""
     h = 1e-4
     costs = [eye.equations(NEAR | {name: NEAR[name] * np.exp(s * h)}).cost for s in (1, -1)]
     gradient = eye.equations(NEAR).gradient[list(NEAR).index(name)]
     assert (costs[0] - costs[1]) / (4 * h) == pytest.approx(gradient, rel=1e-3)
 
 
-def test_a_tilt_is_differentiated_though_it_is_no_logarithm(eye: Eye) -> None:
+def test_gradient_by_a_tilt_is_not_logarithmic(eye: Eye) -> None:
     h, bounds = 1e-3, {"eye_tilt_deg": (-2, 2)}
     at = [eye.equations(NEAR | {"eye_tilt_deg": 1 + s * h}, bounds) for s in (1, 0, -1)]
     per_degree = (at[0].cost - at[2].cost) / (4 * h)
     assert at[1].gradient[0] == pytest.approx(per_degree, rel=1e-3)
 
 
-def test_a_limbus_that_is_held_can_be_differentiated_by_its_yielding(eye: Eye) -> None:
-    """Ahead only, as there is nothing behind."""
+def test_gradient_by_the_compliance_of_a_held_limbus(eye: Eye) -> None:
+    """By a forward difference, as the parameter cannot be negative."""
     name = "limbus_compliance_mm_per_kpa"
     bounds = {name: (0, 0.01)}
     h = 1e-6
@@ -111,8 +111,8 @@ def test_a_limbus_that_is_held_can_be_differentiated_by_its_yielding(eye: Eye) -
     assert eye.equations(NEAR, bounds).gradient[0] == pytest.approx(per_mm_per_mpa, rel=0.05)
 
 
-def test_the_information_is_that_of_the_bounds(eye: Eye) -> None:
-    """Of a whole contour; the residuals leave out its clamped ends, where nothing moves."""
+def test_information_matches_the_bounds(eye: Eye) -> None:
+    """For a whole contour; the residuals exclude its clamped ends, which do not move."""
     candidate = eye.problem(X1)
     names = law_names(candidate.constants)
     contour = contour_of(candidate, sensitivity(candidate, names), names, None)
@@ -121,14 +121,14 @@ def test_the_information_is_that_of_the_bounds(eye: Eye) -> None:
     np.testing.assert_allclose(eye.equations(X1).hessian, fisher, rtol=0.05)
 
 
-def test_the_sum_of_squares_vanishes_at_the_truth(eye: Eye) -> None:
-    """But for the chords of the target's surface: less than a hundredth of a micrometre."""
+def test_sum_of_squares_vanishes_at_the_truth(eye: Eye) -> None:
+    """Up to the polygonal target surface: less than a hundredth of a micrometre."""
     residuals = eye.fitted(X1).residuals
     assert residuals is not None
     assert 1e3 * np.abs(residuals.mm).max() < 0.01
 
 
-def test_terms_that_have_changed_places_are_found_by_their_values() -> None:
+def test_exchanged_terms_are_found_by_their_values() -> None:
     fit: Any = {"parameters": ["mu1", "alpha1", "mu2", "alpha2"], "values": [0.01, 30, 0.03, 80]}
     names = ("mu1", "alpha1", "mu2", "alpha2")
     assert places_in_fit(fit, names, np.array([0.01, 30, 0.03, 80])) == [0, 1, 2, 3]
@@ -147,7 +147,7 @@ def search() -> LeastSquaresSearch:
 def test_a_descent_over_crossing_terms_finds_the_shear_modulus(
     eye: Eye, search: LeastSquaresSearch
 ) -> None:
-    """From terms that stand the other way round, and from a start that cannot be simulated."""
+    """From terms in reverse order, and from a start that cannot be simulated."""
     for start in ([26e3, 75.0, 23e3, 64.0], [20.0, 2.0, 20.0, 2.0]):
         best = _descended(search, np.array([start]), eye.fit_json)
         shear_modulus_mpa = 0.5e-6 * (best[0] * best[1] + best[2] * best[3])
@@ -157,7 +157,7 @@ def test_a_descent_over_crossing_terms_finds_the_shear_modulus(
 def _descended(
     search: LeastSquaresSearch, starts: FloatArray, fit: Callable[..., FitJson | None]
 ) -> FloatArray:
-    """Return the genes with the least sum of squares of a whole search."""
+    """Return the genes with the smallest sum of squares of a whole search."""
     history: list[Generation] = []
     best, least = starts[0], np.inf
     while isinstance(proposal := search.propose_from(starts, history), Proposal):

@@ -1,4 +1,4 @@
-"""Signed distances from the surfaces of a section, worked out by hand."""
+"""Signed distances from the surfaces of a section, calculated by hand."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_distances_from_a_straight_line() -> None:
     np.testing.assert_allclose(normal, [[0, 1], [0, 1]])
 
 
-def test_outside_of_the_tissue_is_positive_on_both_surfaces() -> None:
+def test_distance_is_positive_outside_both_surfaces() -> None:
     section = Section(FLAT + np.array([0.0, 1.0]), FLAT)
     points = np.array([[1.5, 1.1, 0.0], [1.5, -0.1, 0.0]])
     reference = InterfacePoints(

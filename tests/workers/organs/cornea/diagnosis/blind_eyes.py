@@ -1,11 +1,11 @@
-"""Twenty eyes with one hidden effect each, and controls, from `quad_cornea`; diagnosed one by one.
+"""Diagnosis of twenty eyes from `quad_cornea` with one hidden effect each, and of controls.
 
     python tests/workers/organs/cornea/diagnosis/blind_eyes.py RESULTS.jsonl --draw 1
 
-What stands in the file already is not computed again; every draw is another set of eyes. Every
-effect has another form than in the catalogue: jets with soft edges, a gradient that is a tanh, a
-limbus that is softer outside, a posterior surface that is stretched. Surfaces carry errors of
-segmentation in both images, made of waves and not of a Gaussian kernel.
+Eyes already in the file are not computed again; every draw is a different set of eyes. Every
+effect differs in form from the catalogue: jets with soft edges, a gradient that is a tanh, a
+limbus that is softer outside, a posterior surface that is stretched. Both images have
+segmentation errors made of waves instead of a Gaussian kernel.
 """
 
 import argparse
@@ -41,15 +41,15 @@ NAMES = (
     *["segmentation_bias"] * 2,
     *["control"] * 5,
 )
-# Of a segmented surface; what the diagnosis is told.
+# Segmentation error, as stated to the diagnosis.
 SD_MM, LENGTH_MM = SEGMENTED.sd_mm, SEGMENTED.correlation_mm
-# Eyes of the table that do not snap through under the jet.
+# Eyes of the table without snap-through under the jet.
 STIFF = [eye for eye in TABLE_5_2 if eye.constants.shear_modulus_mpa > 1.6]
 BOUNDS = {"mu1": (1e-6, 0.04), "alpha1": (0.1, 100.0), "mu2": (1e-6, 0.04), "alpha2": (0.1, 100.0)}
 
 
 def hidden(name, rng):
-    """Return what the eye has beyond the model: arguments of `Eye`, and what bends the image."""
+    """Return the hidden deviations of an eye: arguments of `Eye`, and distortions of the image."""
     sign = rng.choice([-1.0, 1.0])
     if name == "jet_off_centre":
         return {"jet_centre": sign * rng.uniform(0.1, 0.35), "jet_edge": 0.05}
@@ -65,7 +65,7 @@ def hidden(name, rng):
 
 
 def drawn(surface, rng):
-    """Return a surface with errors of segmentation along its normal: waves of many lengths."""
+    """Return a surface with segmentation errors along its normal: waves of many lengths."""
     arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(surface, axis=0), axis=1))])
     tangent = np.gradient(surface, axis=0)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
@@ -77,7 +77,7 @@ def drawn(surface, rng):
 
 
 def source_of(draw, number):
-    """Make an eye and what a diagnosis is given of it."""
+    """Make an eye and return the source of its diagnosis."""
     rng = np.random.default_rng([1914, draw, number])
     name, eye = NAMES[number], STIFF[rng.integers(len(STIFF))]
     thickness = eye.pachymetry_um / 1000
@@ -126,14 +126,14 @@ def source_of(draw, number):
 
 
 def _fine(line):
-    """Points 0.02 mm apart, as a frame has them."""
+    """Return points 0.02 mm apart, as in a frame."""
     arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     at = np.linspace(0, arc[-1], round(arc[-1] / 0.02))
     return np.stack([np.interp(at, arc, line[:, k]) for k in range(2)], axis=1)
 
 
 def diagnosed(source):
-    """Diagnose in this process."""
+    """Diagnose a source in this process."""
     inverse, nominal = calibrate(source.inverse_problem(0, 0.0))
     found = [(e, scan_sensitivity(inverse, nominal, 0, e)) for e in source.effects]
     joined = [joined_sensitivity(e, [one]) for e, one in found]
@@ -152,7 +152,7 @@ def main():
         if results.exists()
         else set()
     )
-    # One of every kind before the second of any.
+    # One eye of every kind before the second of any.
     order = sorted(range(len(NAMES)), key=lambda n: (NAMES[:n].count(NAMES[n]), n))
     for number in order:
         if number in done:

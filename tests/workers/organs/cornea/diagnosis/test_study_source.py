@@ -27,7 +27,7 @@ HELD = {"mu1_pa": 11000.0, "alpha1": 30.0}
 
 
 def study(searched: dict[str, Any] = SEARCHED, **hidden: float) -> FinishedStudy:
-    """A study whose target was simulated with more than its case says."""
+    """Return a study whose target was simulated with deviations from its case."""
     case = validated(CorneaCase, CASE | {"constants": X1 | hidden})
     body = ORGAN.make_body(case.reference)
     mesh = ORGAN.make_mesh(body, case)
@@ -45,7 +45,7 @@ def study(searched: dict[str, Any] = SEARCHED, **hidden: float) -> FinishedStudy
     )
 
 
-def test_a_source_survives_the_store() -> None:
+def test_source_round_trip_through_the_store() -> None:
     source = CorneaStudySource.from_study(study())
     content = source.content
     plain = json.loads(json.dumps(to_plain(content.record)))
@@ -57,7 +57,7 @@ def test_a_source_survives_the_store() -> None:
     assert [f.name for f in again.free] == ["mu2", "alpha2"]
 
 
-def test_points_lie_on_both_surfaces_inside_the_window() -> None:
+def test_points_are_on_both_surfaces_inside_the_window() -> None:
     points = CorneaStudySource.from_study(study()).inverse_problem(0, 0.0).points
     assert set(points.interface) == {0, 1}
     assert np.abs(points.points[:, 0]).max() < 5
@@ -68,7 +68,7 @@ def test_points_lie_on_both_surfaces_inside_the_window() -> None:
     assert (points.normals[~outer, 1] < 0).all()
 
 
-def test_what_was_searched_is_no_suspect() -> None:
+def test_searched_effects_are_not_candidates() -> None:
     names = [e.name for e in CorneaStudySource.from_study(study()).effects]
     assert "whole_eye_motion" in names
     searched = SEARCHED | {"eye_tilt_deg": [-3, 3]}
@@ -77,7 +77,7 @@ def test_what_was_searched_is_no_suspect() -> None:
     ]
 
 
-def test_a_study_that_searched_no_constant_is_refused() -> None:
+def test_rejects_a_study_without_searched_constants() -> None:
     source = source_of_study("cornea", study({"jet_centre_mm": [-1, 1]}))
     with pytest.raises(InputError, match="needs a constant of the law"):
         source.check()
@@ -94,9 +94,7 @@ def test_a_study_that_searched_no_constant_is_refused() -> None:
         ({"jet_centre_mm": 0.25}, "jet_off_centre"),
     ],
 )
-def test_a_hidden_effect_of_its_own_form_is_named(
-    hidden: dict[str, float], name: str | None
-) -> None:
+def test_names_a_hidden_effect_of_another_form(hidden: dict[str, float], name: str | None) -> None:
     source = CorneaStudySource.from_study(study(**hidden))
     source.study = replace(source.study, noise=SEGMENTED)
     reached = diagnosed(source).verdict

@@ -1,4 +1,4 @@
-"""What is said of a fitted eye: against refits, and in words that a reader can act on."""
+"""Findings about a fitted eye: against refits, and their sentences."""
 
 from pathlib import Path
 from typing import Any
@@ -37,19 +37,19 @@ def eye() -> dict[str, Any]:
     return found(findings=UNKNOWN)
 
 
-def test_all_of_it_is_plain(eye: dict[str, Any]) -> None:
+def test_findings_are_plain_json(eye: dict[str, Any]) -> None:
     assert loads(dumps(eye)) == eye
 
 
-def test_what_was_assumed_moves_the_stiffness_the_right_way(eye: dict[str, Any]) -> None:
-    """A stiffer jet asks for a stiffer cornea, a thicker cornea for a softer one."""
+def test_assumptions_change_the_stiffness_in_the_right_direction(eye: dict[str, Any]) -> None:
+    """A stiffer jet requires a stiffer cornea, a thicker cornea a softer one."""
     assumed = eye["numbers"]["assumptions"]
     parts = {name: one["stress_part"] for name, one in assumed.items()}
     assert 0.005 < parts["jet_pressure"] < 0.03
     assert -0.1 < parts["pachymetry"] < -0.01
 
 
-def test_a_thicker_cornea_gives_way_less() -> None:
+def test_thicker_cornea_deforms_less() -> None:
     case = validated(CorneaCase, CASE)
     body = ORGAN.make_body(case.reference)
     model = ORGAN.prepare(ORGAN.make_mesh(body, case))
@@ -61,14 +61,14 @@ def test_a_thicker_cornea_gives_way_less() -> None:
     assert thin > 1.03 * normal > 1.06 * thick
 
 
-def test_missing_measurements_are_said_first(eye: dict[str, Any]) -> None:
+def test_missing_measurements_are_reported_first(eye: dict[str, Any]) -> None:
     first = eye["notes"][0]
     assert first.startswith("The pressure of the eye and the thickness of the cornea were not")
-    assert "May not be used" in first
-    assert not any("May not be used" in note for note in found(findings={})["notes"])
+    assert "may not be used" in first
+    assert not any("may not be used" in note for note in found(findings={})["notes"])
 
 
-def test_profiles_come_when_they_are_asked_for(eye: dict[str, Any]) -> None:
+def test_profiles_are_computed_only_on_request(eye: dict[str, Any]) -> None:
     assert "profiles" not in eye["numbers"]
     assert len(list(figures(spec(), (None, None, None), eye))) == 3
 
@@ -81,12 +81,12 @@ def spec() -> Any:
     return Spec()
 
 
-def test_a_cornea_that_cannot_be_solved_again_has_no_findings() -> None:
+def test_diverging_cornea_has_no_findings() -> None:
     soft = {"mu1_pa": 20.0, "alpha1": 2.0, "mu2_pa": 20.0, "alpha2": 2.0}
     assert found(constants=soft) == {}
 
 
-def test_the_posterior_surface_moves_and_the_anterior_one_stays() -> None:
+def test_thickening_moves_only_the_posterior_surface() -> None:
     mesh = ORGAN.make_mesh(generated_section(), validated(CorneaCase, CASE))
     nodes = deeper(mesh, 0.05)
     np.testing.assert_allclose(nodes[mesh.anterior], mesh.nodes_mm[mesh.anterior], atol=1e-12)
@@ -118,6 +118,6 @@ def test_frames_are_shown_with_their_contours(tmp_path: Path) -> None:
     assert len(list(figures(Spec(), (rest, later, None), {}))) == 1
 
 
-def test_a_breast_has_no_findings_of_its_own() -> None:
+def test_breast_has_no_findings() -> None:
     assert findings_of("breast") is None
     assert findings_of("cornea") is not None

@@ -15,7 +15,7 @@ from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
 
 
 def chord_motion(section: Section) -> RigidMotion:
-    """Return the motion that lays the chord of the anterior surface on the x axis, centred.
+    """Return the motion that places the chord of the anterior surface on the x axis, centred.
 
     Parameters
     ----------
@@ -43,14 +43,14 @@ NUMBER = r"([+-]?\d+(?:\.\d+)?)"
 
 @dataclass(frozen=True, eq=False)
 class CorvisPair:
-    """Two frames of one eye before and under the air puff, in one frame of reference.
+    """Two frames of one eye before and under the air puff, in one coordinate system.
 
     Parameters
     ----------
     undeformed, deformed : Frame
     undeformed_contours_mm, deformed_contours_mm : tuple of ndarray
-        Anterior and posterior edge that come with the data, shape (k, 2) each, in the
-        coordinates of the frames, not corrected for refraction.
+        Anterior and posterior edges from the data set, shape (k, 2) each, in the coordinates of
+        the frames, not corrected for refraction.
     """
 
     undeformed: Frame
@@ -60,10 +60,10 @@ class CorvisPair:
 
 
 def read_corvis_pair(folder: Path) -> CorvisPair:
-    """Return the pair of frames of the set, with the scale that its README states.
+    """Return the pair of frames of the set, with the scale stated in its README.
 
     The images are screenshots of a camera raster of 576 columns; one magnification, from
-    their mean width, holds for both. The README states the size of the camera's pixels and
+    their mean width, applies to both. The README states the pixel size of the camera and
     the shift between the two screenshots.
 
     Parameters
@@ -77,7 +77,7 @@ def read_corvis_pair(folder: Path) -> CorvisPair:
     Raises
     ------
     InputError
-        If a file is missing, or the README does not state scale and shift in its words.
+        If a file is missing, or the README does not state scale and shift in the known form.
     """
     for name in (README, *IMAGES, *CONTOURS):
         if not (folder / name).is_file():
@@ -106,7 +106,7 @@ def _stated(pattern: str, readme: str) -> tuple[float, ...]:
     if match is None:
         raise InputError(
             f"The README of the Corvis profiles does not state {pattern!r}. Give the two images "
-            "with their pixel size as frames of their own instead."
+            "with their pixel size as separate frames instead."
         )
     return tuple(float(number) for number in match.groups())
 

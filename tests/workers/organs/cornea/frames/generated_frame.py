@@ -9,23 +9,23 @@ from palpate.storage.values import FloatArray
 from palpate.workers.organs.cornea.frames.frame import Frame
 from palpate.workers.organs.cornea.section.outline import Section
 
-# Vertical lines a pixel is cut into; along each of them the coverage is exact.
+# Number of vertical lines per pixel; along each of them the coverage is exact.
 LINES_PER_PIXEL = 8
 
 
 @dataclass(frozen=True)
 class FrameLook:
-    """Optical properties of a generated frame; defaults near those of Corvis frames.
+    """Optical properties of a generated frame; defaults are similar to Corvis frames.
 
     Parameters
     ----------
     background, tissue : float
         Grey value of air and aqueous humour, and of the stroma.
     ridge, ridge_depth_px : float
-        Additional brightness of the anterior surface, and the depth where it has
-        fallen to 1/e.
+        Additional brightness of the anterior surface, and the depth at which it has fallen to
+        1/e.
     edge_dimming : float
-        Part of the brightness that is lost at the left and the right edge.
+        Fraction of the brightness lost at the left and the right edge.
     blur_px : float
         Standard deviation of the point spread function.
     speckle : float
@@ -35,7 +35,7 @@ class FrameLook:
     reflex_px : float
         Radius of a saturated reflex at the top of the anterior surface; 0 for none.
     shadows : tuple of (float, float)
-        Columns from and to that an eyelash darkens to the background.
+        Start and end columns that an eyelash darkens to the background.
     """
 
     background: float = 8.0
@@ -57,21 +57,21 @@ def generated_frame(
     look: FrameLook | None = None,
     seed: int = 0,
 ) -> Frame:
-    """Return an image of a section as a tonometer's camera would see it.
+    """Return an image of a section as seen by a tonometer's camera.
 
     Parameters
     ----------
     section : Section
-        In the coordinates of a frame: x to the right from the first column, y upwards from
-        the first row, so y is negative in the image. Both surfaces must be graphs over x;
-        parts outside the image are cut.
+        In the coordinates of a frame: x to the right from the first column, y upwards from the
+        first row, so y is negative in the image. Both surfaces must be functions of x; parts
+        outside the image are cut off.
     spacing_mm : tuple of float
         Width and height of a pixel.
     shape : tuple of int
         Rows and columns.
     look : FrameLook
     seed : int
-        Of speckle and noise.
+        Seed of speckle and noise.
 
     Returns
     -------
@@ -110,6 +110,6 @@ def generated_frame(
 
 
 def _graph(surface: FloatArray, x: FloatArray) -> FloatArray:
-    """Return y over x; beyond the ends of the surface, a place far below the image."""
+    """Return y at x; beyond the ends of the surface, a position far below the image."""
     y: FloatArray = np.interp(x, surface[:, 0], surface[:, 1], left=-1e3, right=-1e3)
     return y

@@ -1,4 +1,4 @@
-"""The real pair of Corvis frames is read, segmented, registered and meshed."""
+"""The real pair of Corvis frames: reading, segmentation, registration and meshing."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ REPOSITORY = Path(__file__).parents[5]
 FOLDERS = [parent / "shared/data/corvis_profiles" for parent in REPOSITORY.parents]
 FOLDER = next((folder for folder in FOLDERS if folder.is_dir()), FOLDERS[0])
 needs_data = pytest.mark.skipif(
-    not FOLDER.is_dir(), reason="the corvis_profiles data set is not beside the repository"
+    not FOLDER.is_dir(), reason="the corvis_profiles data set is not next to the repository"
 )
 
 
@@ -46,16 +46,16 @@ def test_both_surfaces_follow_the_published_contours(pair: CorvisPair) -> None:
         ):
             below = np.interp(surface[:, 0], *contour.T) - surface[:, 1]
             below_px = below / frame.spacing_mm[1]
-            # The published edge is where a fixed grey value of 22 is passed, in the skirt of the
-            # bright band outside of its steepest place: an offset that hardly varies.
+            # The published edge is where the grey value passes 22, in the skirt of the bright
+            # band outside its steepest position: a nearly constant offset.
             assert below_px.mean() == pytest.approx(offset_px, abs=0.8)
             assert below_px.std() < 1.5
 
 
 @needs_data
-def test_the_published_contours_are_the_grey_value_they_say(pair: CorvisPair) -> None:
-    # The scale, the shift between the frames and the sense of y are right if the image has the
-    # grey value of 22 on the published anterior contour.
+def test_published_contours_have_the_stated_grey_value(pair: CorvisPair) -> None:
+    # The scale, the shift between the frames and the direction of y are correct if the image has
+    # a grey value of 22 on the published anterior contour.
     for frame, contours in (
         (pair.undeformed, pair.undeformed_contours_mm),
         (pair.deformed, pair.deformed_contours_mm),
@@ -65,7 +65,7 @@ def test_the_published_contours_are_the_grey_value_they_say(pair: CorvisPair) ->
 
 
 @needs_data
-def test_the_eye_moves_and_tilts_and_its_section_can_be_meshed(pair: CorvisPair) -> None:
+def test_registers_and_meshes_the_pair(pair: CorvisPair) -> None:
     undeformed, deformed = segment_frame(pair.undeformed), segment_frame(pair.deformed)
     registration = register_periphery(undeformed.section, deformed.section, outer_mm=1.0)
     # Published displacements of the outermost columns: 0.36 mm left and 0.15 mm right.
@@ -82,7 +82,7 @@ def test_the_eye_moves_and_tilts_and_its_section_can_be_meshed(pair: CorvisPair)
     assert quality.mean_shape > 0.75
 
 
-def test_what_is_no_data_set_or_image_is_refused(tmp_path: Path) -> None:
+def test_rejects_missing_or_invalid_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"lacks README\.md"):
         read_corvis_pair(tmp_path)
     with pytest.raises(InputError, match="There is no image"):

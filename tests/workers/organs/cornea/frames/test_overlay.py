@@ -1,4 +1,4 @@
-"""Contours are drawn where they lie."""
+"""Positions of drawn contours."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from palpate.workers.organs.cornea.frames.frame import Frame
 from palpate.workers.organs.cornea.frames.overlay import overlay
 
 
-def test_a_line_colours_the_pixels_it_runs_through_and_no_others() -> None:
+def test_line_colours_only_the_pixels_it_crosses() -> None:
     frame = Frame(np.linspace(0, 100, 40 * 60).reshape(40, 60), (0.01, 0.02), (2.0, 5.0))
     line = frame.to_mm(np.array([10.0, 50.0]), np.array([20.0, 20.0]))
     assert np.allclose(frame.to_pixels(line), [[10, 20], [50, 20]])

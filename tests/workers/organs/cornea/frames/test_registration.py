@@ -1,4 +1,4 @@
-"""The motion of the whole eye is found from the periphery."""
+"""Registration of the whole eye by its periphery."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def dented(depth_mm: float) -> Section:
     return Section(*surfaces)
 
 
-def test_a_known_motion_is_found_under_a_dent() -> None:
+def test_finds_a_known_motion_in_spite_of_a_dent() -> None:
     middle = (0.0, float(CORNEA.anterior_mm[:, 1].max()))
     motion = RigidMotion((0.0, -0.25), 0.02, middle)
     found = register_periphery(CORNEA, motion.of_section(dented(1.0)), outer_mm=1.5)
@@ -37,7 +37,7 @@ def test_the_stated_uncertainty_covers_the_error() -> None:
     rng = np.random.default_rng(1)
     z_scores = []
     for _ in range(40):
-        # Errors alike over half a millimetre, 5 um.
+        # Errors of 5 um, correlated over half a millimetre.
         noisy = []
         for surface in (CORNEA.anterior_mm, CORNEA.posterior_mm):
             knots = np.arange(-6.5, 6.6, 0.5)
@@ -51,7 +51,7 @@ def test_the_stated_uncertainty_covers_the_error() -> None:
     assert np.all((spread > 0.6) & (spread < 1.6))
 
 
-def test_a_motion_and_its_inverse_cancel_and_the_chord_is_laid_level() -> None:
+def test_inverse_motion_cancels_and_the_chord_is_levelled() -> None:
     motion = RigidMotion((0.3, -0.2), 0.1, (1.0, 2.0))
     points = CORNEA.anterior_mm
     assert np.allclose(motion.inverse.of_points(motion.of_points(points)), points)
@@ -61,6 +61,6 @@ def test_a_motion_and_its_inverse_cancel_and_the_chord_is_laid_level() -> None:
     assert np.allclose(level.posterior_mm, CORNEA.posterior_mm, atol=1e-12)
 
 
-def test_frames_that_share_too_little_are_refused() -> None:
+def test_rejects_frames_with_too_little_overlap() -> None:
     with pytest.raises(InputError, match="share"):
         register_periphery(CORNEA, RigidMotion((9.0, 0.0)).of_section(CORNEA))

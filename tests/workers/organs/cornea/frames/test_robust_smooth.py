@@ -1,4 +1,4 @@
-"""The robust smooth curve keeps parabolas, halves its wave and drops outliers."""
+"""Robust smoothing: parabolas, waves and outliers."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from palpate.workers.organs.cornea.frames.robust_smooth import robust_smooth
 X = np.arange(400.0)
 
 
-def test_a_parabola_is_kept_across_a_gap_and_past_outliers() -> None:
+def test_preserves_a_parabola_across_gaps_and_outliers() -> None:
     parabola = 30 + 0.1 * X - 2e-4 * X**2
     values, weights = parabola.copy(), np.ones(400)
     values[::17] += 40.0
@@ -18,7 +18,7 @@ def test_a_parabola_is_kept_across_a_gap_and_past_outliers() -> None:
 
 
 @pytest.mark.parametrize(("times", "kept"), [(1.0, 0.5), (2.0, 64 / 65), (0.5, 1 / 65)])
-def test_waves_are_damped_as_stated(times: float, kept: float) -> None:
+def test_damping_of_waves(times: float, kept: float) -> None:
     wave = np.sin(2 * np.pi * X / (40.0 * times))
     # Without reweighting, which is not linear; away from the ends.
     smooth = robust_smooth(wave, np.ones(400), 40.0, rounds=1)

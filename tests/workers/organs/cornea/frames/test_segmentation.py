@@ -1,4 +1,4 @@
-"""Surfaces of generated frames are found to a fraction of a pixel, and no cornea is refused."""
+"""Segmentation of generated frames to a fraction of a pixel, and refusals without a cornea."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ MESH = mesh_section(CORNEA)
 
 
 def eye(dent_mm: float, tilt_rad: float = 0.02) -> Section:
-    """A section in the coordinates of a frame of 9 mm x 4 mm, with its apex near the top."""
+    """Return a section in the coordinates of a 9 mm x 4 mm frame, with its apex near the top."""
     down = dent_mm * np.exp(-((MESH.nodes_mm[:, 0] / 1.6) ** 2))
     moved = deformed_section(CORNEA, MESH, np.column_stack([0 * down, -down]), 12)
     top = float(CORNEA.anterior_mm[:, 1].max())
@@ -45,8 +45,8 @@ def rms(values: FloatArray) -> float:
 @pytest.mark.parametrize(
     ("look", "anterior_px", "posterior_px"),
     [
-        # Even tissue: nothing but the finite resolution of the method. The bright ridge under
-        # the anterior surface pulls the steepest place out by a quarter of a pixel.
+        # Uniform tissue: only the finite resolution of the method. The bright ridge under the
+        # anterior surface shifts the steepest position outwards by a quarter of a pixel.
         (FrameLook(ridge=0.0, speckle=0.0, noise=0.0), 0.03, 0.03),
         (FrameLook(), 0.3, 0.15),
         (FrameLook(speckle=0.4, noise=6.0), 0.3, 0.3),
@@ -54,7 +54,7 @@ def rms(values: FloatArray) -> float:
     ],
     ids=["clean", "default", "noisy", "sharp"],
 )
-def test_surfaces_are_found_to_a_fraction_of_a_pixel(
+def test_surfaces_are_accurate_to_a_fraction_of_a_pixel(
     dent_mm: float, look: FrameLook, anterior_px: float, posterior_px: float
 ) -> None:
     truth = eye(dent_mm)
@@ -81,17 +81,17 @@ def test_reflex_and_shadows_are_bridged_and_marked(dent_mm: float) -> None:
     assert np.mean(found.anterior_confidence > 0.5) > 0.8
 
 
-def test_the_scale_of_the_pixels_does_not_matter() -> None:
+def test_segmentation_is_independent_of_pixel_size() -> None:
     truth = eye(1.0)
     fine = (SPACING_MM[0] / 2, SPACING_MM[1] / 2)
     look = FrameLook(blur_px=2.0, ridge_depth_px=8.0)
     found = segment_frame(generated_frame(truth, fine, (480, 1152), look, seed=5))
     anterior, posterior = errors_px(found, truth)
-    assert rms(anterior) < 0.6  # 0.3 pixels of the camera
+    assert rms(anterior) < 0.6  # 0.3 camera pixels
     assert rms(posterior) < 0.3
 
 
-def test_a_cornea_that_leaves_the_frame_at_the_sides_is_cut() -> None:
+def test_cornea_beyond_the_frame_is_cropped() -> None:
     truth = eye(0.0, tilt_rad=0.0)
     found = segment_frame(generated_frame(truth, SPACING_MM, (100, 576), seed=1))
     assert 100 < found.columns[0] < 200
@@ -110,7 +110,7 @@ def test_labels_have_the_area_of_the_section() -> None:
     assert labels.sum() == pytest.approx(expected, rel=0.005)
 
 
-def test_images_without_a_cornea_are_refused() -> None:
+def test_rejects_images_without_a_cornea() -> None:
     rng = np.random.default_rng(0)
     row, column = np.indices(SHAPE)
     noise = 8 + 2 * rng.standard_normal(SHAPE)
@@ -126,7 +126,7 @@ def test_images_without_a_cornea_are_refused() -> None:
             segment_frame(Frame(grey=grey, spacing_mm=SPACING_MM))
 
 
-def test_frames_that_are_no_grey_images_are_refused() -> None:
+def test_rejects_frames_that_are_not_greyscale() -> None:
     with pytest.raises(InputError, match="16 x 16"):
         Frame(grey=np.zeros((4, 500)), spacing_mm=SPACING_MM)
     with pytest.raises(InputError, match="positive width and height"):

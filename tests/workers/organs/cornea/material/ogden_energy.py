@@ -1,4 +1,4 @@
-"""The strain energy of the thesis, written once more for complex numbers, and its slopes."""
+"""The strain energy of the thesis, implemented independently for complex numbers."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ STEP = 1e-30
 
 
 def energy(stretches, constants):
-    """W of Eq. 5.1 in MPa; stretches (..., 3) may be complex."""
+    """Return W of Eq. 5.1 in MPa; stretches (..., 3) may be complex."""
     J = stretches.prod(axis=-1)
     isochoric = stretches * J[..., None] ** (-1 / 3)
     total = 0.0
@@ -22,7 +22,7 @@ def energy(stretches, constants):
 
 
 def nominal_stress(stretches, constants):
-    """dW/d lambda_a by the complex step, (..., 3)."""
+    """Return dW/d lambda_a by the complex step, (..., 3)."""
     stretches = np.asarray(stretches, dtype=complex)
     columns = []
     for a in range(3):

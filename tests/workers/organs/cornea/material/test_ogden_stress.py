@@ -1,4 +1,4 @@
-"""Stress against closed forms and the energy, tangent against differences."""
+"""Stress against closed forms and the energy, and tangent against differences."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def turned(squares, angle):
 @pytest.mark.parametrize("convention", CONVENTIONS)
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_uniaxial_tension_of_an_incompressible_bar(convention, order):
-    """tau = sum m (l^a - l^(-a/2)), m the moduli in the convention mu/alpha."""
+    """tau = sum m (l^a - l^(-a/2)), with the moduli m in the convention mu/alpha."""
     mu, alpha = (0.011, 0.035, 0.02)[:order], (12.0, 20.0, -6.0)[:order]
     if order == 3 and convention == "mu/alpha":
         mu = (0.011, 0.035, -0.02)
@@ -95,7 +95,7 @@ def test_stress_is_the_slope_of_the_energy(kind, convention, pair):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("pair", STRETCHES)
 def test_tangent_is_the_slope_of_the_stress(kind, convention, pair):
-    """By five-point differences, also where principal stretches meet."""
+    """By five-point differences, also for equal principal stretches."""
     constants = CorneaConstants(**X1, convention=convention)
     log3 = 0.012 if kind == "axisymmetric" else 0.0
     C = turned(np.square(pair), 0.4)
@@ -118,7 +118,7 @@ def test_tangent_is_the_slope_of_the_stress(kind, convention, pair):
         assert error < 1e-7 * np.abs(D).max()
 
 
-def test_isochoric_stress_is_that_of_the_house_law():
+def test_isochoric_stress_matches_the_other_ogden_law():
     """Against `mechanics.materials.ogden` at constant volume, where p vanishes."""
     constants = CorneaConstants(**X1)
     stretches = np.array([1.03, 0.985, 1 / (1.03 * 0.985)])
@@ -129,7 +129,7 @@ def test_isochoric_stress_is_that_of_the_house_law():
     np.testing.assert_allclose(S[[0, 1, 3]], nominal / stretches, rtol=1e-10, atol=1e-13)
 
 
-def test_small_strains_know_youngs_modulus_in_plane_stress():
+def test_small_strains_give_youngs_modulus_in_plane_stress():
     constants = CorneaConstants(**X1)
     _, D, _ = stress_and_tangent(np.eye(2), 0.0, constants, PLANE_STRESS)
     G, K = constants.shear_modulus_mpa, constants.bulk_mpa
@@ -149,6 +149,6 @@ def test_small_strains_know_youngs_modulus_in_plane_stress():
         ({"mu_mpa": (0.01,), "alpha": (30.0,), "convention": "ansys"}, "Ogden conventions are"),
     ],
 )
-def test_bad_constants_are_refused(bad, message):
+def test_rejects_invalid_constants(bad, message):
     with pytest.raises(InputError, match=message):
         CorneaConstants(**bad)

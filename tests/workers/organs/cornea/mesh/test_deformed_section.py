@@ -1,4 +1,4 @@
-"""Moved surfaces follow the quadratic displacement of the mesh."""
+"""Surfaces displaced with the quadratic displacement of the mesh."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ SECTION = generated_section()
 MESH = mesh_section(SECTION, 240, (-1.5, 1.5))
 
 
-def test_no_displacement_gives_points_of_the_section() -> None:
+def test_zero_displacement_gives_points_of_the_section() -> None:
     same = deformed_section(SECTION, MESH, np.zeros_like(MESH.nodes_mm))
     for surface, own in (
         (same.anterior_mm, SECTION.anterior_mm),
@@ -31,7 +31,7 @@ def test_a_rigid_motion_moves_the_surfaces_rigidly() -> None:
     assert np.allclose(moved.posterior_mm, rest.posterior_mm @ turn.T + [0.3, -0.2], atol=2e-6)
 
 
-def test_a_smooth_displacement_is_met_with_order_three() -> None:
+def test_smooth_displacement_converges_with_order_three() -> None:
     errors = []
     for elements in (60, 240, 960):
         mesh = mesh_section(SECTION, elements)
@@ -43,6 +43,6 @@ def test_a_smooth_displacement_is_met_with_order_three() -> None:
     assert np.all(np.log2(np.array(errors[:-1]) / errors[1:]) > 2.5)
 
 
-def test_a_displacement_of_another_mesh_is_refused() -> None:
+def test_rejects_the_displacement_of_another_mesh() -> None:
     with pytest.raises(InputError, match="does not belong to a mesh"):
         deformed_section(SECTION, MESH, np.zeros((3, 2)))

@@ -1,4 +1,4 @@
-"""The mesh of a section fills it, lies on its surfaces and refuses what is no cornea."""
+"""The mesh of a section: area, surfaces, quality, and refusals of invalid sections."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ JET = (-1.5, 1.5)
 
 
 def area_of(mesh: T6Mesh) -> float:
-    """Area by the divergence theorem on the quadratic sides of every element (exact)."""
+    """Return the area by the divergence theorem on the quadratic sides of all elements (exact)."""
     corner, middle = mesh.nodes_mm[mesh.triangles[:, :3]], mesh.nodes_mm[mesh.triangles[:, 3:]]
     following = np.roll(corner, -1, axis=1)
 
@@ -31,18 +31,18 @@ def area_of(mesh: T6Mesh) -> float:
     return float(sides.sum())
 
 
-def test_the_area_converges_with_order_four_to_that_of_the_arcs() -> None:
+def test_area_converges_to_the_arcs_with_order_four() -> None:
     section = generated_section(points=20001)
     outline = section.outline_mm
     following = np.roll(outline, -1, axis=0)
     exact = -0.5 * np.sum(outline[:, 0] * following[:, 1] - outline[:, 1] * following[:, 0])
     errors = [abs(area_of(mesh_section(section, n)) - exact) for n in (8, 32, 128)]
-    # Sides of half the length: parabolas through three points of an arc err as h^4.
+    # Sides of half the length: the error of a parabola through three points of an arc is O(h^4).
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.all(orders > 3.5)
 
 
-def test_nodes_lie_on_the_surfaces_and_at_the_edges_of_the_jet() -> None:
+def test_nodes_are_on_the_surfaces_and_at_the_edges_of_the_jet() -> None:
     section = generated_section()
     mesh = mesh_section(section, 960, JET)
     assert len(mesh.triangles) == 960
@@ -60,7 +60,7 @@ def test_nodes_lie_on_the_surfaces_and_at_the_edges_of_the_jet() -> None:
     assert np.allclose(mesh.nodes_mm[mesh.right[0]], section.posterior_mm[-1])
 
 
-def test_every_side_is_shared_or_on_the_outline_and_middles_are_where_they_belong() -> None:
+def test_mesh_topology_is_consistent() -> None:
     mesh = mesh_section(generated_section(), 240, JET)
     sides: dict[tuple[int, int], list[int]] = {}
     for triangle in mesh.triangles.tolist():
@@ -85,13 +85,13 @@ def test_a_symmetric_section_has_a_symmetric_mesh() -> None:
     assert {frozenset(t) for t in number[mesh.triangles[:, :3]].tolist()} == own
 
 
-def test_neighbours_have_close_numbers() -> None:
+def test_neighbouring_nodes_have_close_numbers() -> None:
     mesh = mesh_section(generated_section(), 960, JET)
     assert np.ptp(mesh.triangles, axis=1).max() <= 4 * 4 + 4
 
 
 @pytest.mark.parametrize("elements", [30, 240, 960, 2880])
-def test_the_quality_is_good_and_the_number_of_elements_near_the_wish(elements: int) -> None:
+def test_quality_and_number_of_elements(elements: int) -> None:
     mesh = mesh_section(generated_section(), elements, JET)
     quality = t6_quality(mesh)
     assert quality.smallest_shape > 0.7
@@ -99,7 +99,7 @@ def test_the_quality_is_good_and_the_number_of_elements_near_the_wish(elements: 
     assert abs(len(mesh.triangles) - elements) <= max(8, 0.05 * elements)
 
 
-def test_the_bound_of_the_jacobian_finds_a_folded_element() -> None:
+def test_jacobian_bound_detects_a_folded_element() -> None:
     straight = T6Mesh(
         nodes_mm=np.array([[0, 0], [1, 0], [0, 1], [0.5, 0], [0.5, 0.5], [0, 0.5]], dtype=float),
         triangles=np.array([[0, 1, 2, 3, 4, 5]], dtype=np.int32),
@@ -109,7 +109,7 @@ def test_the_bound_of_the_jacobian_finds_a_folded_element() -> None:
         right=np.array([0], dtype=np.int32),
     )
     assert t6_quality(straight).smallest_jacobian == pytest.approx(1.0)
-    # A middle node at a quarter of its side makes the map singular at the near corner.
+    # A midside node at a quarter of its side makes the map singular at the near corner.
     nodes = straight.nodes_mm.copy()
     nodes[3, 0] = 0.25
     assert t6_quality(replace(straight, nodes_mm=nodes)).smallest_jacobian == pytest.approx(0.0)
@@ -117,7 +117,7 @@ def test_the_bound_of_the_jacobian_finds_a_folded_element() -> None:
     assert t6_quality(replace(straight, nodes_mm=nodes)).smallest_jacobian < 0
 
 
-def test_sections_that_are_no_cornea_are_refused() -> None:
+def test_rejects_invalid_sections() -> None:
     good = generated_section(points=101)
     anterior, posterior = good.anterior_mm, good.posterior_mm
     crossing = posterior.copy()
@@ -136,11 +136,11 @@ def test_sections_that_are_no_cornea_are_refused() -> None:
             mesh_section(section)
 
 
-def test_wishes_that_cannot_be_met_are_refused() -> None:
+def test_rejects_impossible_requests() -> None:
     section = generated_section()
     with pytest.raises(InputError, match="wider than the cornea"):
         mesh_section(section, 960, (-6.0, 6.0))
-    with pytest.raises(InputError, match="one place"):
+    with pytest.raises(InputError, match="one position"):
         mesh_section(section, 960, (1.0, 1.0))
     with pytest.raises(InputError, match="at least 8 triangles"):
         mesh_section(section, 4)

@@ -1,4 +1,4 @@
-"""The score of two sections drawn on pixels, as an independent reference."""
+"""The score of two rasterised sections, as an independent reference."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ from palpate.workers.organs.cornea.section.outline import Section
 
 
 def drawn(outline: NDArray[np.float64], shape: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return the pixels [x, y] whose centres, at whole numbers, lie inside a polygon."""
+    """Return a mask of the pixels [x, y] whose centres, at whole numbers, are inside a polygon."""
     image = np.zeros(shape, dtype=bool)
     x0, y0 = outline.T
     x1, y1 = np.roll(outline, -1, axis=0).T
@@ -22,7 +22,7 @@ def drawn(outline: NDArray[np.float64], shape: NDArray[np.int64]) -> NDArray[np.
 
 
 def rasterised_score(a: Section, b: Section, pixel_um: float) -> tuple[float, float]:
-    """Return Jaccard coefficient and modified Hausdorff distance (um) of drawn sections."""
+    """Return the Jaccard coefficient and modified Hausdorff distance (um) of the rasters."""
     pixel_mm = pixel_um / 1000
     points = np.concatenate([a.outline_mm, b.outline_mm])
     lower = points.min(axis=0) - 3 * pixel_mm

@@ -1,4 +1,4 @@
-"""A cropped section ends on the two lines and is unchanged between them."""
+"""Cropping of a section between two lines."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def test_both_surfaces_end_on_the_lines() -> None:
     ):
         assert surface[[0, -1], 0].tolist() == [-4.0, 3.5]
         assert np.allclose(np.interp(surface[:, 0], *own.T), surface[:, 1], atol=1e-12)
-    # A shorter part lies in the longer one, so the overlap is the ratio of the areas.
+    # A shorter part is contained in the longer one, so the overlap is the ratio of the areas.
     shorter = cropped_section(whole, -4.0, 3.0)
     areas = [overlap_areas(s.outline_mm, s.outline_mm)[0] for s in (shorter, part)]
     assert SectionTarget(part).score(shorter).jc == pytest.approx(areas[0] / areas[1])
@@ -32,6 +32,6 @@ def test_lines_beyond_the_ends_change_nothing() -> None:
     assert np.array_equal(same.posterior_mm, whole.posterior_mm)
 
 
-def test_a_section_outside_the_lines_is_refused() -> None:
-    with pytest.raises(InputError, match="lies outside"):
+def test_rejects_a_section_outside_the_lines() -> None:
+    with pytest.raises(InputError, match="it is outside"):
         cropped_section(generated_section(), 7.0, 9.0)

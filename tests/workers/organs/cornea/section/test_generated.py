@@ -1,4 +1,4 @@
-"""A generated section lies on the curves it says."""
+"""Generated sections against their defining curves."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def test_the_posterior_surface_is_one_circle_with_the_stated_thickness() -> None
     assert abs(out[0] * ends[1] - out[1] * ends[0]) < 1e-12
 
 
-def test_the_section_is_symmetric_and_as_wide_as_asked() -> None:
+def test_section_is_symmetric_with_the_given_width() -> None:
     section = generated_section(diameter_mm=11.0, points=101)
     for surface in (section.anterior_mm, section.posterior_mm):
         assert len(surface) == 101
@@ -48,6 +48,6 @@ def test_the_section_is_symmetric_and_as_wide_as_asked() -> None:
         ({"points": 10}, "odd number"),
     ],
 )
-def test_impossible_geometry_is_refused(wrong: dict[str, float], message: str) -> None:
+def test_rejects_impossible_geometry(wrong: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
         generated_section(**wrong)  # type: ignore[arg-type]

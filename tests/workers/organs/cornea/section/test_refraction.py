@@ -1,4 +1,4 @@
-"""The correction undoes what a ray through a flat or spherical surface does."""
+"""Refraction correction against flat and spherical surfaces."""
 
 import numpy as np
 import pytest
@@ -20,15 +20,15 @@ def apparent_posterior(
     camera_angle_deg: float = CAMERA_ANGLE_DEG,
     axis_x_mm: float | None = None,
 ) -> FloatArray:
-    """Return where the points of a posterior surface appear to be.
+    """Return the apparent positions of the points of a posterior surface.
 
-    The inverse of `corrected_posterior`, by a fixed point: what the correction misses is
-    taken off the apparent place until less than a nanometre is left.
+    The inverse of `corrected_posterior`, by a fixed-point iteration: the error of the
+    correction is subtracted from the apparent position until it is below a nanometre.
 
     Parameters
     ----------
     anterior_mm, posterior_mm, index, camera_angle_deg, axis_x_mm
-        As for `corrected_posterior`.
+        As in `corrected_posterior`.
 
     Returns
     -------
@@ -58,16 +58,16 @@ def test_behind_a_flat_surface_the_depth_is_the_ratio_of_tangents() -> None:
     assert np.allclose(nearly_head_on[:, 1], -0.33 * 1.376, atol=1e-5)
 
 
-def test_no_refraction_changes_nothing() -> None:
+def test_unit_index_changes_nothing() -> None:
     section = generated_section()
     same = corrected_posterior(section.anterior_mm, section.posterior_mm, index=1.0)
     assert np.allclose(same, section.posterior_mm, atol=1e-9)
 
 
 def test_rays_through_a_sphere_traced_backwards() -> None:
-    # From a point of the slit plane straight out through the sphere, parallel to the camera's
-    # ray outside: find the point where the ray leaves by minimising the optical path to a
-    # plane wavefront (Fermat), which knows neither Snell's law nor the profile.
+    # From a point of the slit plane out through the sphere, parallel to the camera's ray outside:
+    # find the exit point by minimising the optical path to a plane wavefront (Fermat), which
+    # uses neither Snell's law nor the profile.
     radius, index, angle = 7.8, 1.376, np.pi / 4
     section = generated_section(anterior_radius_mm=radius, points=2001)
     top = float(section.anterior_mm[:, 1].max())
@@ -87,7 +87,7 @@ def test_rays_through_a_sphere_traced_backwards() -> None:
             xs = np.linspace(xs[max(i - 1, 0)], xs[min(i + 1, 80)], 81)
             zs = np.linspace(zs[max(j - 1, 0)], zs[min(j + 1, 180)], 181)
         leaves = out[i, j]
-        # The straight ray, prolonged to the plane z = 0.
+        # The straight ray, extended to the plane z = 0.
         apparent.append((leaves - toward * (leaves[2] / toward[2]))[:2])
     found = corrected_posterior(section.anterior_mm, np.array(apparent), index)
     assert np.allclose(found, inner, atol=2e-5)
@@ -102,13 +102,13 @@ def test_apparent_and_corrected_are_inverse_for_a_tilted_dented_cornea() -> None
     anterior[:, 1] += 0.03 * anterior[:, 0]
     true = np.column_stack([anterior[:, 0], anterior[:, 1] - 0.55])[20:-20]
     apparent = apparent_posterior(anterior, true)
-    # Behind the dent the same thickness appears less thin than behind the convex flanks.
+    # The same thickness appears less reduced behind the dent than behind the convex flanks.
     thickness = np.interp(apparent[:, 0], *anterior.T) - apparent[:, 1]
     assert np.all((thickness > 0.25) & (thickness < 0.42))
     assert np.allclose(corrected_posterior(anterior, apparent), true, atol=1e-5)
 
 
-def test_wrong_optics_are_refused() -> None:
+def test_rejects_invalid_optics() -> None:
     section = generated_section()
     a, p = section.anterior_mm, section.posterior_mm
     with pytest.raises(InputError, match="at least 1"):

@@ -1,8 +1,8 @@
-"""A cornea of 9-node quadrilaterals in plane stress, written on its own for blind eyes.
+"""An independent cornea of 9-node quadrilaterals in plane stress, for blind eyes.
 
-Nothing of the solver that is tested: other elements, stresses from eigenvalues with differences
-for their slope, a prestretch that is carried (the stress-free shape is iterated, E. Sellier,
-C. R. Mecanique 339 (2011) 636), sparse elimination.
+It shares nothing with the tested solver: other elements, stresses from eigenvalues with a
+difference tangent, a carried prestretch (the stress-free shape is iterated, E. Sellier, C. R.
+Mecanique 339 (2011) 636), sparse elimination.
 """
 
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ DIFFERENCE = 1e-6
 
 @dataclass
 class Eye:
-    """What is simulated, with what may be hidden in it; mm, MPa, radians."""
+    """A simulated eye and its hidden deviations; mm, MPa, radians."""
 
     anterior: np.ndarray
     posterior: np.ndarray
@@ -28,15 +28,15 @@ class Eye:
     jet: float = 0.015
     jet_centre: float = 0.0
     jet_radius: float = 1.5
-    jet_edge: float = 0.0  # over which its edge is soft
+    jet_edge: float = 0.0  # width of its soft edge
     shift: tuple = (0.0, 0.0)
     tilt: float = 0.0
-    limbus_softness: float = 0.0  # mm/MPa, twice as soft at the outer surface as at the inner
+    limbus_softness: float = 0.0  # mm/MPa, twice as soft at the outer surface as at the inner one
     stiffer: object = field(default=lambda x, y: np.ones_like(x))
 
 
 def lagrange(s):
-    """Quadratic shape functions on (-1, 0, 1) and their slopes."""
+    """Return the quadratic shape functions on (-1, 0, 1) and their slopes."""
     s = np.asarray(s)
     shape = np.stack([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2])
     return shape, np.stack([s - 0.5, -2 * s, s + 0.5])
@@ -65,7 +65,7 @@ class Quads:
 
     @staticmethod
     def _stations(eye, nx):
-        """Parts of the length of the surfaces, an odd number, corners and middles."""
+        """Return fractions of the length of the surfaces, an odd number, corners and midsides."""
         x = eye.anterior[:, 0]
         arc = np.concatenate(
             [[0], np.cumsum(np.linalg.norm(np.diff(eye.anterior, axis=0), axis=1))]
@@ -98,7 +98,7 @@ def _along(line, parts):
 
 
 def first_stress(F, eye, factor):
-    """First Piola stress in plane stress, (..., 2, 2), of deformation gradients."""
+    """Return the first Piola stress in plane stress, (..., 2, 2), of deformation gradients."""
     values, vectors = np.linalg.eigh(np.swapaxes(F, -1, -2) @ F)
     log = 0.5 * np.log(values)
     thick = -0.4 * log.sum(-1)
@@ -126,7 +126,7 @@ def first_stress(F, eye, factor):
 
 
 def solve(eye, grid, X0, start, iop, jet, fraction):
-    """Places of the nodes in equilibrium, from a stress-free shape and a place to begin."""
+    """Return the node positions in equilibrium, given a stress-free shape and an initial guess."""
     x = start.copy()
     fixed = np.concatenate(grid.sides)
     motion = _carried(grid.X[fixed], eye, fraction)
@@ -157,7 +157,7 @@ def solve(eye, grid, X0, start, iop, jet, fraction):
 
 
 def deformed(eye, steps=6):
-    """Both surfaces under the jet, corners and middles of the elements."""
+    """Return both surfaces under the jet, corners and midsides of the elements."""
     grid = Quads(eye)
     X0, x = grid.X.copy(), grid.X.copy()
     for _ in range(8):
@@ -238,7 +238,7 @@ def _carried(points, eye, fraction):
 
 
 def _spread_motion(grid, eye, fraction, start):
-    """Begin with all nodes carried along."""
+    """Return an initial guess in which all nodes move with the eye."""
     fixed = np.concatenate(grid.sides)
     before = start[fixed].mean(axis=0)
     after = _carried(grid.X[fixed], eye, fraction).mean(axis=0)

@@ -1,4 +1,4 @@
-"""Tubes and hollow spheres under inner pressure: Lame's solution and the finite one."""
+"""Tubes and hollow spheres under internal pressure: Lame's solution and the finite one."""
 
 import numpy as np
 from scipy.integrate import solve_bvp
@@ -7,22 +7,22 @@ from tests.workers.organs.cornea.material.ogden_energy import nominal_stress, yo
 
 
 def lame_tube(R, a, b, pressure, constants):
-    """Radial displacement in plane strain at small strain."""
+    """Return the radial displacement of a tube in plane strain at small strain."""
     E, nu = young_and_poisson(constants)
     return (1 + nu) / E * pressure * a**2 / (b**2 - a**2) * ((1 - 2 * nu) * R + b**2 / R)
 
 
 def lame_sphere(R, a, b, pressure, constants):
-    """Radial displacement of a sphere at small strain."""
+    """Return the radial displacement of a sphere at small strain."""
     E, nu = young_and_poisson(constants)
     factor = pressure * a**3 / (E * (b**3 - a**3))
     return factor * ((1 - 2 * nu) * R + (1 + nu) * b**3 / (2 * R**2))
 
 
 def finite_radius(a, b, pressure, constants, sphere):
-    """r(R) of a tube in plane strain or a sphere, from its ordinary differential equation.
+    """Return r(R) of a tube in plane strain or a sphere, from its differential equation.
 
-    With P the nominal stress, dP_r/dR = -k (P_r - P_t)/R, P_r = -p (r/R)^k inside and 0
+    With the nominal stress P, dP_r/dR = -k (P_r - P_t)/R, P_r = -p (r/R)^k inside and 0
     outside; k = 1 for a tube, 2 for a sphere.
     """
     k = 2 if sphere else 1

@@ -1,4 +1,4 @@
-"""A cornea solved at once, mesh and all."""
+"""A cornea prepared and solved in one call."""
 
 from palpate.workers.organs.cornea.material.constants import CorneaConstants
 from palpate.workers.organs.cornea.material.load import CorneaLoad
@@ -11,5 +11,5 @@ from palpate.workers.organs.cornea.solver.solve import CorneaSolution, solve_pre
 def solve_cornea(
     mesh: T6Mesh, constants: CorneaConstants, load: CorneaLoad, model: CorneaModel
 ) -> CorneaSolution:
-    """The solution of one cornea on a mesh of its own."""
+    """Return the solution of one cornea on a given mesh."""
     return solve_prepared(prepare(mesh, model), constants, load)

@@ -6,7 +6,7 @@ from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
 
 
 def mapped(nodes_mm, cells_along, cells_across):
-    """Two triangles a cell of a lattice of nodes, (2 a + 1, 2 c + 1, 2), left to right and up."""
+    """Return two triangles per cell of a lattice of nodes, (2 a + 1, 2 c + 1, 2)."""
     number = np.arange(nodes_mm.shape[0] * nodes_mm.shape[1]).reshape(nodes_mm.shape[:2])
     triangles = []
     for i in range(0, 2 * cells_along, 2):
@@ -36,7 +36,7 @@ def corneal_arc(
     thickness_mm=(0.595, 0.70),
     at_x_mm=(),
 ):
-    """The section of the inventory; `at_x_mm` puts the nearest corner of the surface at each x."""
+    """Return the section of the inventory, with the nearest surface corner moved to each x."""
     edge = np.arcsin(chord_mm / 2 / radius_mm)
     angle = np.linspace(-edge, edge, cells_along + 1)
     for x in at_x_mm:

@@ -1,4 +1,4 @@
-"""The printed tables are copied without a slip: their own statistics come out again."""
+"""The printed tables reproduce their own statistics."""
 
 import numpy as np
 import pytest
@@ -12,28 +12,28 @@ from palpate.workers.organs.cornea.solver.cohort import (
 )
 
 
-def test_the_statistics_of_table_5_2_come_out_again() -> None:
+def test_statistics_of_table_5_2() -> None:
     constants = np.array([eye.constants for eye in TABLE_5_2])
     assert constants.shape == (24, 4)
-    # Means of the shear terms are cut to whole numbers in print, the others rounded.
+    # Printed means of the shear terms are truncated to whole numbers, the others rounded.
     assert np.allclose(constants.mean(axis=0), PRINTED_AVERAGE[0], atol=[1, 0.006, 1, 0.006])
     assert np.allclose(constants.std(axis=0, ddof=1), PRINTED_SD[0], atol=[1, 0.006, 1, 0.012])
     jc, mhd = np.array([(eye.jc, eye.mhd_um) for eye in TABLE_5_2]).T
     assert jc.mean() == pytest.approx(PRINTED_AVERAGE[1], abs=0.005)
     assert jc.std(ddof=1) == pytest.approx(PRINTED_SD[1], abs=0.005)
-    # The rows give 25.32 um where the table prints 25.4.
+    # The rows give 25.32 um; the table prints 25.4.
     assert mhd.mean() == pytest.approx(25.32, abs=0.005)
     assert mhd.std(ddof=1) == pytest.approx(PRINTED_SD[2], abs=0.05)
 
 
-def test_the_ranges_that_the_average_eye_of_table_5_1_does_not_match() -> None:
+def test_average_eye_of_table_5_1_differs_from_the_measured_ranges() -> None:
     iop, pachymetry = np.array([(eye.iop_mmhg, eye.pachymetry_um) for eye in TABLE_5_2]).T
     assert (iop.min(), iop.max(), iop.mean()) == pytest.approx((8, 17, 11.94), abs=0.005)
     assert (pachymetry.min(), pachymetry.max()) == (458, 613)
     assert pachymetry.mean() == pytest.approx(549, abs=0.5)
 
 
-def test_the_shear_modulus_varies_less_than_its_parts() -> None:
+def test_shear_modulus_varies_less_than_its_terms() -> None:
     moduli = np.array([eye.constants.shear_modulus_mpa for eye in TABLE_5_2])
     assert moduli.mean() == pytest.approx(1.70, abs=0.005)
     assert moduli.std() == pytest.approx(0.41, abs=0.005)
@@ -50,7 +50,7 @@ def test_the_shear_modulus_varies_less_than_its_parts() -> None:
 
 
 @pytest.mark.parametrize("eye", TABLE_5_1, ids=lambda eye: eye.name)
-def test_the_errors_of_table_5_1_come_out_again(eye: SyntheticEye) -> None:
+def test_errors_of_table_5_1(eye: SyntheticEye) -> None:
     target, estimate = np.array(eye.target), np.array(eye.estimate)
     errors = 100 * np.abs(estimate - target) / target
     assert np.allclose(errors, eye.printed_errors_percent, atol=0.05)

@@ -13,7 +13,7 @@ from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc
 
 
 def random_band(n, reach, seed):
-    """A matrix of overlapping groups of unknowns, not symmetric, with a strong diagonal."""
+    """Return a matrix of overlapping groups of unknowns, unsymmetric, with a strong diagonal."""
     rng = np.random.default_rng(seed)
     groups = np.array([rng.permutation(np.arange(k, k + reach)) for k in range(n - reach + 1)])
     A = np.zeros((n, n))
@@ -30,7 +30,7 @@ def stored(envelope, A):
 
 
 @pytest.mark.parametrize(("n", "reach"), [(1, 1), (8, 3), (37, 5), (64, 20), (200, 31)])
-def test_solves_as_dense_algebra_does(n, reach):
+def test_solution_matches_dense_algebra(n, reach):
     groups, A = random_band(n, reach, seed=n)
     envelope = envelope_of(groups, n)
     factors = factorise(envelope, stored(envelope, A), n)
@@ -50,7 +50,7 @@ def test_counts_negative_eigenvalues_of_a_symmetric_matrix():
     assert factors.negative_pivots == expected
 
 
-def test_a_singular_matrix_is_reported():
+def test_reports_a_singular_matrix():
     groups, A = random_band(30, 6, seed=4)
     A[17] = A[16] = 0
     A[:, 17] = A[:, 16] = 0
@@ -67,9 +67,9 @@ def test_groups_without_unknowns_are_skipped():
     np.testing.assert_allclose(factors.solve(b), np.linalg.solve(A, b))
 
 
-def test_neighbours_are_near_each_other_along_a_cornea():
+def test_ordering_keeps_neighbours_close():
     mesh = corneal_arc(120, 4)
     place = np.empty(len(mesh.nodes_mm), dtype=int)
     place[node_order(mesh.triangles, len(mesh.nodes_mm))] = np.arange(len(mesh.nodes_mm))
-    # A triangle touches three columns of nine nodes; one more where the ordering begins.
+    # A triangle spans three columns of nine nodes; one more where the ordering starts.
     assert np.ptp(place[mesh.triangles], axis=1).max() <= 36

@@ -24,7 +24,7 @@ BODIES = {"plane strain": lame_tube, "axisymmetric": lame_sphere}
 
 
 def quarter_ring(around, across):
-    """From the y axis to the x axis, so x ascends; a quarter of a tube or half a sphere."""
+    """Return a mesh from the y axis to the x axis: a quarter of a tube or half a sphere."""
     angle = np.linspace(0, np.pi / 2, 2 * around + 1)
     radius = np.linspace(INNER, OUTER, 2 * across + 1)
     T, R = np.meshgrid(angle, radius, indexing="ij")
@@ -34,10 +34,10 @@ def quarter_ring(around, across):
 
 
 def inflated(mesh, kind, pressure, constants, points=3):
-    """The displacement under a pressure inside, symmetric about both axes."""
+    """Return the displacement under internal pressure, symmetric about both axes."""
     model = CorneaModel(kind=kind, prestress="none", quadrature_points=points, tolerance_mm=1e-11)
     prepared = prepare(mesh, model, held=np.abs(mesh.nodes_mm) < 1e-12)
-    jet_centre_mm = 0.0 if kind == "axisymmetric" else 3.0  # no jet acts, but it must fit
+    jet_centre_mm = 0.0 if kind == "axisymmetric" else 3.0  # inactive, but it must fit
     system = system_of(prepared, constants, CorneaLoad(pressure, 0.0, jet_centre_mm))
     path = follow(system, np.zeros_like(mesh.nodes_mm), NO_LOAD, Stage(pressure, 0.0, 0.0), 0.5)
     assert path.reason == ""
@@ -45,7 +45,7 @@ def inflated(mesh, kind, pressure, constants, points=3):
 
 
 def error_mm(mesh, u, radial):
-    """Root of the mean square distance from a radial displacement, inside the triangles."""
+    """Return the RMS distance from a radial displacement, inside the triangles."""
     points, weights = QUADRATURE[7]
     N, _ = shape_functions(points)
     x, v = N @ mesh.nodes_mm[mesh.triangles], N @ u[mesh.triangles]
@@ -55,7 +55,7 @@ def error_mm(mesh, u, radial):
 
 
 @pytest.mark.parametrize("kind", BODIES)
-def test_small_pressure_gives_lames_solution(kind):
+def test_small_pressure_matches_lame(kind):
     mesh = quarter_ring(16, 6)
     pressure = 1e-6
     u = inflated(mesh, kind, pressure, X1)
@@ -68,8 +68,8 @@ def test_small_pressure_gives_lames_solution(kind):
 
 @pytest.mark.parametrize("kind", BODIES)
 @pytest.mark.parametrize("points", [3, 7])
-def test_finite_pressure_gives_the_radial_solution(kind, points):
-    """Hoop strains of 4 to 5 %, at which the law of X1 is several times as stiff as at rest."""
+def test_finite_pressure_matches_the_radial_solution(kind, points):
+    """Hoop strains of 4 to 5 %, at which the law of X1 is several times stiffer than at rest."""
     mesh = quarter_ring(24, 8)
     pressure = 0.2
     r = finite_radius(INNER, OUTER, pressure, X1, kind == "axisymmetric")
@@ -83,7 +83,7 @@ def test_finite_pressure_gives_the_radial_solution(kind, points):
 
 @pytest.mark.parametrize("kind", BODIES)
 def test_displacement_converges_with_the_third_order(kind):
-    """Halving the triangles divides the error by eight, to 10 % in the order."""
+    """Halving the element size divides the error by eight; the order is within 10 %."""
     constants = CorneaConstants((0.05,), (8.0,))
     pressure = 0.04
     r = finite_radius(INNER, OUTER, pressure, constants, kind == "axisymmetric")

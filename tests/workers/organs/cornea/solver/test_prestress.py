@@ -1,4 +1,4 @@
-"""A cornea in equilibrium with the pressure of the eye, by three methods."""
+"""Equilibrium of a cornea with the intraocular pressure, by three methods."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def apex_um(constants=X1, jet_mmhg=112.5, mesh=None, **options):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("limbus", [None, 0.5])
-def test_the_image_is_in_equilibrium_with_the_pressure(kind, method, limbus):
+def test_image_is_in_equilibrium_with_the_pressure(kind, method, limbus):
     """No node moves by more than the tolerance, and the stress is not zero."""
     model = CorneaModel(kind=kind, prestress=method, limbus_mpa_per_mm=limbus)
     mesh = corneal_arc(40, 2)
@@ -40,7 +40,7 @@ def test_the_image_is_in_equilibrium_with_the_pressure(kind, method, limbus):
     assert np.abs(rest.u).max() < model.prestress_tolerance_mm
     first = np.abs(rest.iterates[0].u).max()
     assert first > 100 * model.prestress_tolerance_mm
-    # The pressure alone, without the prestress, is far from balanced.
+    # The pressure alone, without the prestress, is far from equilibrium.
     _, _, factors = rest.system.linearise(rest.u, rest.system.image_stage)
     unbalanced = system_of(prepared, X1, CorneaLoad(IOP)).residual(rest.u, rest.system.image_stage)
     assert np.abs(factors.solve(unbalanced[0])).max() > 100 * model.prestress_tolerance_mm
@@ -49,7 +49,7 @@ def test_the_image_is_in_equilibrium_with_the_pressure(kind, method, limbus):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("limbus", [None, 0.5])
 def test_mulf_and_the_inverse_method_agree(kind, limbus):
-    """They are the same physics: the apex within 0.5 %; the additive stress is not."""
+    """Their physics is the same: the apex agrees within 0.5 %, unlike with additive stress."""
     mulf, inverse, additive = (
         apex_um(kind=kind, prestress=method, limbus_mpa_per_mm=limbus)
         for method in ("mulf", "inverse", "additive")
@@ -59,15 +59,15 @@ def test_mulf_and_the_inverse_method_agree(kind, limbus):
 
 
 def test_mulf_and_the_inverse_method_agree_at_large_prestretch():
-    """Abaqus' convention makes X1 thirty times softer: the eye moves the image by 400 um."""
+    """Abaqus' convention makes X1 thirty times softer: the pressure moves the image by 400 um."""
     values = [
         apex_um(SOFT, 15.0, kind="plane strain", prestress=method) for method in ("mulf", "inverse")
     ]
     assert values[0] == pytest.approx(values[1], rel=5e-3)
 
 
-def test_the_section_without_pressure_deforms_into_the_image():
-    """Against the definition of the inverse problem: a plain simulation of the found section."""
+def test_inverse_section_deforms_into_the_image():
+    """By the definition of the inverse problem: a plain simulation of the resulting section."""
     mesh = corneal_arc(40, 2)
     model = CorneaModel(kind="plane strain", prestress="inverse", prestress_tolerance_mm=1e-8)
     rest = prestressed(system_of(prepare(mesh, model), X1, CorneaLoad(IOP)))
@@ -84,8 +84,8 @@ def test_the_section_without_pressure_deforms_into_the_image():
     np.testing.assert_allclose(found + plain.displacement_mm, mesh.nodes_mm, atol=1e-6)
 
 
-def test_a_prestress_that_does_not_converge_is_an_ordinary_ending():
-    """The thesis' steps in Abaqus' convention: the inventory could not finish them either."""
+def test_divergent_prestress_is_an_ordinary_outcome():
+    """The thesis' steps in Abaqus' convention, which fail in the inventory, too."""
     solution = solve_cornea(
         corneal_arc(120, 4), SOFT, CorneaLoad(IOP), CorneaModel(prestress="additive")
     )
@@ -94,7 +94,7 @@ def test_a_prestress_that_does_not_converge_is_an_ordinary_ending():
     assert solution.jet_fraction == 0
 
 
-def test_a_pressure_that_bursts_the_cornea_is_an_ordinary_ending():
+def test_bursting_pressure_is_an_ordinary_outcome():
     weak = CorneaConstants((1e-5,), (2.0,), bulk_mpa=1e-3)
     for method in (*METHODS, "none"):
         solution = solve_cornea(

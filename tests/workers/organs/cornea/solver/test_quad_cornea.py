@@ -45,5 +45,5 @@ def test_both_solvers_agree(eye: dict, load: dict, model: dict) -> None:
     for line, surface in ((top, mesh.anterior), (bottom, mesh.posterior)):
         inside = np.abs(line[:, 0]) < 5
         other = np.interp(line[inside, 0], *x[surface].T)
-        # 0.3 % of an apex displacement of some 900 um.
+        # 0.3 % of an apex displacement of about 900 um.
         assert np.abs(other - line[inside, 1]).max() < 0.003

@@ -1,4 +1,4 @@
-"""Derivatives against differences of whole solutions, the prestress iteration included."""
+"""Derivatives against differences of whole solutions, including the prestress iteration."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc
 X1 = CorneaConstants((0.011, 0.035), (30.0, 80.0))
 MESH = corneal_arc(30, 2)
 UNSYMMETRIC = ("jet_centre_mm", "eye_tilt_rad", "eye_shift_x_mm", "side_gradient")
-# An iteration that stops a little earlier on one side would spoil the differences.
+# An iteration that stops slightly earlier on one side would spoil the differences.
 TIGHT = {"tolerance_mm": 1e-12, "prestress_tolerance_mm": 1e-11}
 
 
@@ -47,7 +47,7 @@ def displacement(candidate):
 
 
 def by_differences(at, step):
-    """Central differences of two steps, extrapolated; `at` takes a signed step."""
+    """Return central differences of two steps, extrapolated; `at` takes a signed step."""
     wide, narrow = (
         (displacement(at(h)) - displacement(at(-h))) / (2 * h) for h in (step, step / 2)
     )
@@ -59,8 +59,8 @@ def by_differences(at, step):
     [("plane stress", None), ("plane stress", 0.5), ("plane strain", None), ("axisymmetric", 0.5)],
 )
 @pytest.mark.parametrize("method", ["additive", "mulf", "inverse", "none"])
-def test_every_parameter(kind, method, limbus):
-    """To 1e-6 of the derivative."""
+def test_derivatives_by_every_parameter(kind, method, limbus):
+    """To a relative accuracy of 1e-6."""
     candidate = candidate_of(kind, method, limbus_mpa_per_mm=limbus)
     names = [
         n for n in parameter_names(candidate) if kind != "axisymmetric" or n not in UNSYMMETRIC
@@ -76,7 +76,7 @@ def test_every_parameter(kind, method, limbus):
         assert error < 1e-6, name
 
 
-def test_a_measured_profile():
+def test_derivatives_with_a_measured_jet_profile():
     load = CorneaLoad(0.0014, 0.01, 0.1, jet_profile=JetProfile((0.0, 0.8, 1.7), (1.0, 0.7, 0.2)))
     candidate = candidate_of("plane stress", "additive", load)
     names = ("jet_centre_mm", "jet_width_factor", "jet_pressure_mpa")
@@ -87,8 +87,8 @@ def test_a_measured_profile():
 
 
 @pytest.mark.parametrize("method", ["additive", "mulf", "inverse"])
-def test_an_error_of_the_thickness(method):
-    """Any change of the mesh that keeps its triangles."""
+def test_derivative_by_the_thickness(method):
+    """For any change of the mesh that keeps its triangles."""
     candidate = candidate_of("plane stress", method)
 
     def thicker(by_mm):
@@ -101,8 +101,8 @@ def test_an_error_of_the_thickness(method):
     assert np.linalg.norm(result.derivatives[0] - expected) < 1e-6 * np.linalg.norm(expected)
 
 
-def test_moduli_together_scale_like_the_inverse_of_the_loads():
-    """W and pressures times c leave the shape: sum mu d/dmu + K d/dK = - sum p d/dp."""
+def test_scaling_of_moduli_and_loads():
+    """Scaling W and all pressures keeps the shape: sum mu d/dmu + K d/dK = - sum p d/dp."""
     candidate = candidate_of("plane stress", "mulf")
     names = ("mu1_mpa", "mu2_mpa", "bulk_mpa", "iop_mpa", "jet_pressure_mpa")
     d = dict(zip(names, sensitivity(candidate, names).derivatives, strict=True))
@@ -112,7 +112,7 @@ def test_moduli_together_scale_like_the_inverse_of_the_loads():
     np.testing.assert_allclose(stiffer, -loaded, atol=1e-6 * np.abs(loaded).max())
 
 
-def test_an_unconverged_cornea_has_no_derivatives():
+def test_diverged_cornea_has_no_derivatives():
     candidate = candidate_of("plane stress", "none", CorneaLoad(0.0, 0.5))
     weak = replace(candidate, constants=CorneaConstants((1e-4,), (2.0,), bulk_mpa=1e-3))
     result = sensitivity(weak, ["mu1_mpa"])
@@ -120,7 +120,7 @@ def test_an_unconverged_cornea_has_no_derivatives():
     assert np.isnan(result.derivatives).all()
 
 
-def test_an_unknown_parameter_is_refused():
+def test_rejects_unknown_parameters():
     candidate = candidate_of("plane stress", "additive")
     with pytest.raises(InputError, match=r"no parameter 'mu3_mpa'. It has mu1_mpa"):
         sensitivity(candidate, ["mu3_mpa"])

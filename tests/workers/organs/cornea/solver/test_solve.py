@@ -1,4 +1,4 @@
-"""What must hold of any solution, how the limbus is held, and how a solution may end."""
+"""Properties of every solution, support at the limbus, and possible outcomes."""
 
 import time
 
@@ -47,8 +47,8 @@ def test_a_symmetric_cornea_deforms_symmetrically(kind):
     np.testing.assert_allclose(u[line, 1], u[line[::-1], 1], atol=1e-6)
 
 
-def test_the_way_to_the_load_does_not_matter():
-    """In one step, or in many small ones."""
+def test_solution_is_independent_of_the_load_path():
+    """In one step, or in many small steps."""
     prepared = prepare(MESH, CorneaModel())
     rest = prestressed(system_of(prepared, X1, CorneaLoad(IOP)))
     system = rest.system
@@ -58,8 +58,8 @@ def test_the_way_to_the_load_does_not_matter():
     np.testing.assert_allclose(path.u, at_once.displacement_mm, atol=1e-6)
 
 
-def test_the_displacement_is_in_equilibrium_wherever_the_prestress_comes_from():
-    """A simulation is solved again to rounding, by a full Newton step at its end."""
+def test_displacement_is_in_equilibrium_for_every_prestress():
+    """A simulation is repeated to rounding accuracy, with a full Newton step at its end."""
     for method in ("additive", "mulf", "inverse"):
         prepared = prepare(MESH, CorneaModel(prestress=method))
         rest = prestressed(system_of(prepared, X1, CorneaLoad(IOP)))
@@ -81,8 +81,8 @@ def test_a_cornea_moves_with_the_eye_as_a_rigid_body(limbus):
     assert solution.min_j == pytest.approx(1, abs=1e-6)
 
 
-def test_a_shift_of_the_eye_adds_to_what_the_jet_does():
-    """The jet follows the cornea, so a translation is carried along unchanged."""
+def test_eye_shift_adds_to_the_effect_of_the_jet():
+    """The jet follows the cornea, so a translation is added unchanged."""
     still = solved()
     moved = solved(load=CorneaLoad(IOP, eye_shift_mm=(0.2, -0.25)))
     np.testing.assert_allclose(
@@ -90,7 +90,7 @@ def test_a_shift_of_the_eye_adds_to_what_the_jet_does():
     )
 
 
-def test_an_elastic_limbus_lies_between_free_and_clamped():
+def test_elastic_limbus_is_between_free_and_clamped():
     clamped = solved().apex_displacement_um
     soft, stiff, stiffest = (
         solved(limbus_mpa_per_mm=k).apex_displacement_um for k in (1.0, 10.0, 1e5)
@@ -100,7 +100,7 @@ def test_an_elastic_limbus_lies_between_free_and_clamped():
 
 
 def test_the_elastic_limbus_carries_the_load():
-    """Springs and pressures balance: the sum of the reactions is the force of the jet."""
+    """Springs and pressures balance: the sum of the reactions equals the force of the jet."""
     prepared = prepare(MESH, CorneaModel(limbus_mpa_per_mm=0.5, prestress="none"))
     load = CorneaLoad(0.0)
     u = solve_prepared(prepared, X1, load).displacement_mm
@@ -113,8 +113,8 @@ def test_the_elastic_limbus_carries_the_load():
     np.testing.assert_allclose(reaction, load.jet_pressure_mpa * force, atol=1e-8)
 
 
-def test_an_arch_leans_towards_its_softer_side():
-    """A gradient to the right leaves the left half softer; mirrored, mirrored."""
+def test_apex_moves_towards_the_softer_side():
+    """A gradient to the right makes the left half softer, and vice versa."""
     apex = MESH.anterior[60]
     right, left = (solved(side_gradient=g).displacement_mm for g in (0.5, -0.5))
     assert right[apex, 0] < -0.01
@@ -123,7 +123,7 @@ def test_an_arch_leans_towards_its_softer_side():
 
 
 def test_a_gradient_stiffens_the_posterior_and_the_right():
-    """By exp(g/2) at the surfaces; the centres of triangles lie a sixth of a cell inside."""
+    """By exp(g/2) at the surfaces; the centroids are a sixth of a cell inside."""
     depth = np.log(stiffness_factors(MESH, CorneaModel(depth_gradient=2.0))) / 2
     side = np.log(stiffness_factors(MESH, CorneaModel(side_gradient=2.0))) / 2
     centres = MESH.nodes_mm[MESH.triangles[:, :3]].mean(axis=1)
@@ -135,19 +135,19 @@ def test_a_gradient_stiffens_the_posterior_and_the_right():
     np.testing.assert_allclose(side, centres[:, 0] / 11.7, atol=1e-12)
 
 
-def test_a_jet_off_the_centre_dents_there():
+def test_off_centre_jet_dents_the_cornea_off_centre():
     solution = solved(load=CorneaLoad(IOP, jet_centre_mm=0.5))
     deepest = MESH.anterior[np.argmin(solution.displacement_mm[MESH.anterior, 1])]
     assert 0.2 < MESH.nodes_mm[deepest, 0] < 0.8
 
 
-def test_a_profile_of_one_point_is_the_uniform_jet():
+def test_single_point_profile_equals_a_uniform_jet():
     uniform = solved().displacement_mm
     profile = solved(load=CorneaLoad(IOP, jet_profile=JetProfile((1.5,), (1.0,))))
     np.testing.assert_allclose(profile.displacement_mm, uniform, atol=1e-9)
 
 
-def test_a_snap_through_is_converged_and_stable_or_has_its_reason():
+def test_snap_through_converges_to_a_stable_state():
     """Thin and soft: twice the jet moves the apex more than three times as far, past the chord."""
     soft = CorneaConstants((0.008, 0.02), (30.0, 60.0))
     solution = solved(soft, mesh=corneal_arc(120, 4))
@@ -156,7 +156,7 @@ def test_a_snap_through_is_converged_and_stable_or_has_its_reason():
     assert half.apex_displacement_um < solution.apex_displacement_um / 3
 
 
-def test_a_jet_that_crushes_the_cornea_is_an_ordinary_ending():
+def test_crushing_jet_is_an_ordinary_outcome():
     weak = CorneaConstants((1e-4,), (2.0,), bulk_mpa=1e-3)
     solution = solve_cornea(MESH, weak, CorneaLoad(0.0, 0.5), CorneaModel())
     assert not solution.converged
@@ -166,8 +166,8 @@ def test_a_jet_that_crushes_the_cornea_is_an_ordinary_ending():
 
 
 @pytest.mark.parametrize("constants", [X1, X2])
-def test_a_candidate_takes_a_quarter_of_a_second(constants):
-    """960 triangles, prestress and jet, time of one thread; the best of five."""
+def test_solution_takes_a_quarter_of_a_second(constants):
+    """For 960 triangles, prestress and jet; thread time, the best of five."""
     prepared = prepare(corneal_arc(120, 4), CorneaModel())
     times = []
     for _ in range(5):
@@ -180,21 +180,21 @@ def test_a_candidate_takes_a_quarter_of_a_second(constants):
     assert min(times) < 0.25
 
 
-def test_a_mesh_across_the_axis_is_refused():
-    with pytest.raises(InputError, match="lie across its axis"):
+def test_rejects_a_mesh_across_the_axis():
+    with pytest.raises(InputError, match="extend across its axis"):
         prepare(corneal_arc(61, 2), CorneaModel(kind="axisymmetric"))
 
 
-def test_crossing_surfaces_are_refused():
+def test_rejects_crossing_surfaces():
     thin = corneal_arc(20, 2, thickness_mm=(-0.1, 0.7))
-    with pytest.raises(InputError, match="turned inside out"):
+    with pytest.raises(InputError, match="is inverted"):
         prepare(thin, CorneaModel())
 
 
-def test_a_mesh_without_a_limbus_is_refused():
+def test_rejects_a_mesh_without_a_limbus():
     nothing = np.empty(0, dtype=np.int32)
     bare = T6Mesh(MESH.nodes_mm, MESH.triangles, MESH.anterior, MESH.posterior, nothing, nothing)
-    with pytest.raises(InputError, match="no nodes on the limbus"):
+    with pytest.raises(InputError, match="no limbus nodes"):
         prepare(bare, CorneaModel())
 
 
@@ -208,6 +208,6 @@ def test_a_mesh_without_a_limbus_is_refused():
         ({"tolerance_mm": 0.0}, "must be positive"),
     ],
 )
-def test_a_bad_model_is_refused(bad, message):
+def test_rejects_invalid_models(bad, message):
     with pytest.raises(InputError, match=message):
         CorneaModel(**bad)

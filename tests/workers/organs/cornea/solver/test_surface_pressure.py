@@ -1,4 +1,4 @@
-"""Forces of pressures against what can be worked out by hand."""
+"""Forces of pressures against values calculated by hand."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc, mapped
 
 
 def force(points, x, pressure):
-    """The external force at the nodes, (n, 2)."""
+    """Return the external forces at the nodes, (n, 2)."""
     equations = np.arange(x.size, dtype=np.int32).reshape(-1, 2)
     residual = np.zeros(x.size)
     envelope = envelope_of(equations, x.size)
@@ -25,15 +25,15 @@ def force(points, x, pressure):
 
 
 def block(cells=10):
-    """10 mm by 1 mm."""
+    """Return a block of 10 mm by 1 mm."""
     x, y = np.meshgrid(np.linspace(-5, 5, 2 * cells + 1), np.linspace(0, 1, 3), indexing="ij")
     return mapped(np.stack([x, y], axis=-1), cells, 1)
 
 
 @pytest.mark.parametrize("centre", [0.0, 0.4, -1.37])
 @pytest.mark.parametrize("diameter", [0.2, 3.0, 4.123])
-def test_a_jet_on_a_flat_block_pushes_with_pressure_times_width(centre, diameter):
-    """Wherever its edges lie; the moment about the centre of the jet vanishes too."""
+def test_jet_on_a_flat_block_exerts_pressure_times_width(centre, diameter):
+    """Independent of the element edges; the moment about the centre of the jet vanishes, too."""
     mesh = block()
     load = CorneaLoad(0.0, 0.015, centre, diameter)
     points = jet_points(mesh.nodes_mm, mesh.anterior, load, axisymmetric=False)
@@ -43,7 +43,7 @@ def test_a_jet_on_a_flat_block_pushes_with_pressure_times_width(centre, diameter
     assert abs(moment) < 1e-15
 
 
-def test_the_jet_presses_only_the_edges_below_it():
+def test_jet_loads_only_the_edges_below_it():
     mesh = block()
     points = jet_points(mesh.nodes_mm, mesh.anterior, CorneaLoad(0.0, jet_diameter_mm=2.0), False)
     f = force(points, mesh.nodes_mm, 1.0)
@@ -52,21 +52,21 @@ def test_the_jet_presses_only_the_edges_below_it():
 
 
 def test_a_measured_profile_is_integrated_exactly():
-    """Trapezes: 2 (0.5 (1 + 0.6) 0.7 + 0.5 (0.6 + 0.1) 0.9) = 1.75 mm, and times 1.3."""
+    """Trapezoids: 2 (0.5 (1 + 0.6) 0.7 + 0.5 (0.6 + 0.1) 0.9) = 1.75 mm, and times 1.3."""
     mesh = corneal_arc(31, 2)
     profile = JetProfile((0.0, 0.7, 1.6), (1.0, 0.6, 0.1))
     for factor in (1.0, 1.3):
         load = CorneaLoad(0.0, 1.0, 0.2, jet_profile=profile, jet_width_factor=factor)
         points = jet_points(mesh.nodes_mm, mesh.anterior, load, axisymmetric=False)
-        # The vertical part of a pressure acts on the projected width.
+        # The vertical component of a pressure acts on the projected width.
         assert force(points, mesh.nodes_mm, 1.0)[:, 1].sum() == pytest.approx(
             -1.75 * factor, rel=1e-9
         )
 
 
 @pytest.mark.parametrize("cells", [7, 40])
-def test_the_axial_force_of_an_axisymmetric_jet_is_that_on_its_disc(cells):
-    """p r^2 / 2 per radian and half, on a curved surface whose nodes miss the edge."""
+def test_axial_force_of_an_axisymmetric_jet(cells):
+    """p r^2 / 2 per radian and half, on a curved surface whose nodes are not at the edge."""
     mesh = corneal_arc(2 * cells, 2)
     points = jet_points(mesh.nodes_mm, mesh.anterior, CorneaLoad(0.0), axisymmetric=True)
     f = force(points, mesh.nodes_mm, 0.015)
@@ -77,8 +77,8 @@ def test_the_axial_force_of_an_axisymmetric_jet_is_that_on_its_disc(cells):
         assert total == pytest.approx(-0.015 * 1.5**2 / 2, rel=1e-9)
 
 
-def test_pressure_inside_pushes_out_and_follows_the_deformed_surface():
-    """On the chord between two points: turned by a quarter, whatever the shape between."""
+def test_internal_pressure_follows_the_deformed_surface():
+    """The force is that on the chord, rotated by a quarter turn, whatever the shape between."""
     mesh = corneal_arc(20, 2)
     points = posterior_points(mesh.nodes_mm, mesh.posterior, axisymmetric=False)
     rng = np.random.default_rng(0)
@@ -89,12 +89,12 @@ def test_pressure_inside_pushes_out_and_follows_the_deformed_surface():
     np.testing.assert_allclose(force(points, x, 0.002).sum(axis=0), expected, rtol=1e-12)
 
 
-def test_a_jet_beyond_the_cornea_is_refused():
+def test_rejects_a_jet_beyond_the_cornea():
     mesh = corneal_arc(20, 2)
     for load in (CorneaLoad(0.0, jet_diameter_mm=13.0), CorneaLoad(0.0, jet_centre_mm=5.0)):
         with pytest.raises(InputError, match=r"The air jet covers .* anterior surface only"):
             jet_points(mesh.nodes_mm, mesh.anterior, load, axisymmetric=False)
-    with pytest.raises(InputError, match="axisymmetric cornea is centred"):
+    with pytest.raises(InputError, match="axisymmetric cornea must be centred"):
         jet_points(mesh.nodes_mm, mesh.anterior, CorneaLoad(0.0, jet_centre_mm=0.1), True)
 
 
@@ -102,7 +102,7 @@ def test_a_jet_beyond_the_cornea_is_refused():
     ("r_mm", "fraction"),
     [((), ()), ((0.0, 1.0), (1.0,)), ((1.0, 0.5), (1.0, 0.5)), ((0.0,), (1.0,)), ((1.0,), (-1.0,))],
 )
-def test_a_bad_profile_is_refused(r_mm, fraction):
+def test_rejects_invalid_profiles(r_mm, fraction):
     with pytest.raises(InputError, match="profile of an air jet"):
         JetProfile(r_mm, fraction)
 
@@ -116,6 +116,6 @@ def test_a_bad_profile_is_refused(r_mm, fraction):
         ({"iop_mpa": float("inf")}, "finite"),
     ],
 )
-def test_a_bad_load_is_refused(bad, message):
+def test_rejects_invalid_loads(bad, message):
     with pytest.raises(InputError, match=message):
         CorneaLoad(**bad)

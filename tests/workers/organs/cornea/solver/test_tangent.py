@@ -18,7 +18,7 @@ PROFILE = JetProfile((0.0, 0.7, 1.6), (1.0, 0.6, 0.1))
 
 
 def smooth(nodes_mm, size_mm, seed):
-    """A displacement that varies over about a millimetre, zero on the axis."""
+    """Return a displacement that varies over about a millimetre, zero on the axis."""
     rng = np.random.default_rng(seed)
     x, y = nodes_mm.T
     u = np.zeros_like(nodes_mm)
@@ -32,7 +32,7 @@ def smooth(nodes_mm, size_mm, seed):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_tangent_is_the_slope_of_the_force(kind, method, convention):
-    """With prestress, pressures on both sides and an elastic limbus, to 1e-7."""
+    """With prestress, pressures on both sides and an elastic limbus, to an accuracy of 1e-7."""
     mesh = corneal_arc(16, 2)
     model = CorneaModel(kind=kind, prestress=method, limbus_mpa_per_mm=0.3, side_gradient=0.4)
     prepared = prepare(mesh, model)

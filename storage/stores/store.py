@@ -31,7 +31,7 @@ class Store:
 
     @property
     def layout(self) -> StoreLayout:
-        """Return the places of the store."""
+        """Return the paths of the store."""
         return StoreLayout(self.root)
 
     @property
@@ -114,8 +114,8 @@ def stored_schema(store: Store) -> int | None:
         return None
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(
-            f"{marker} is damaged ({error}). Remove that file and run the study again: "
-            "what the store holds is found again."
+            f"{marker} is damaged ({error}). Remove that file and run the study again; the "
+            "contents of the store are kept."
         ) from error
     return int(version)
 

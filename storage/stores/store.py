@@ -49,7 +49,7 @@ def open_store(location: Location, *, create: bool = True) -> Store:
     Parameters
     ----------
     location : str, Path or ObjectPath
-        A folder, ``~`` is the user's home; or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
+        A folder (``~`` is the user's home), or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
     create : bool
         Create the store if it is missing, and prepare it for writing. Without it the
         store must exist and may be read-only.

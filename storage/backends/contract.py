@@ -66,7 +66,7 @@ class ZarrAddress:
 
 
 class Backend(Protocol[P]):
-    """Reads and writes at one kind of place.
+    """Reading and writing at one kind of place.
 
     All methods raise `StoreError` with advice if the place cannot be read or written.
     """

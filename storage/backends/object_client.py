@@ -1,19 +1,19 @@
 """Connections to an object store, with retries and readable errors.
 
-Address and credentials come from the usual environment, as every client reads it::
+Address and credentials come from the environment variables that every client reads::
 
     AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN
     AWS_REGION or AWS_DEFAULT_REGION
     AWS_ENDPOINT_URL              of a server other than Amazon's, http:// or https://
 
-    GOOGLE_APPLICATION_CREDENTIALS, else those of `gcloud auth application-default login`
+    GOOGLE_APPLICATION_CREDENTIALS, or else `gcloud auth application-default login`
     GOOGLE_BASE_URL
 
     AZURE_STORAGE_ACCOUNT_NAME, AZURE_STORAGE_ACCOUNT_KEY or AZURE_STORAGE_SAS_TOKEN
     AZURE_STORAGE_ENDPOINT
 
-Without AWS_ACCESS_KEY_ID those of S3 come from a profile of the AWS command line:
-`backends.aws_profile`. Those of Google and Azure are read by obstore.
+Without AWS_ACCESS_KEY_ID, credentials for S3 come from a profile of the AWS command line:
+`backends.aws_profile`. Credentials for Google and Azure are read by obstore.
 
 A request that reaches no server, or a failing one, is retried with growing pauses. The first
 request of a process gives up sooner: a wrong address is more likely than an outage.
@@ -44,7 +44,7 @@ MOST_RETRIES = 100_000  # in practice the patience ends first
 
 @dataclass(frozen=True)
 class _Service:
-    """What differs between object stores.
+    """An object store service.
 
     Parameters
     ----------
@@ -52,15 +52,15 @@ class _Service:
         Class of obstore.
     name : str
     variables : str
-        How the variables of the environment begin that obstore reads itself; empty for none.
+        Prefix of the environment variables that obstore reads itself; empty for none.
     endpoint : str
-        The variable with the address of another server that messages name.
+        Variable with the address of another server, for messages.
     endpoints : tuple of str
         All such variables; the first that is set counts.
     without_keys : str
-        What to do where there are no credentials.
+        Advice if there are no credentials.
     keys : str
-        What to check where they are refused.
+        Variables to check if access is refused.
     """
 
     store: str
@@ -109,16 +109,16 @@ _REGIONS = ("AWS_REGION", "AWS_DEFAULT_REGION")
 REGION = "us-east-1"
 
 _reached: set[tuple[Scheme, str]] = set()
-"""Buckets that have answered this process."""
+"""Buckets that have responded to this process."""
 
 
 def client_of(place: ObjectPath) -> "ObjectStore":
-    """Return the connection to a bucket; made once for each environment.
+    """Return the connection to a bucket, cached for each environment.
 
     Raises
     ------
     StoreError
-        If obstore is not installed, or credentials cannot be used.
+        If obstore is not installed, or the credentials cannot be used.
     """
     reached = (place.scheme, place.bucket) in _reached
     begins = _SERVICES[place.scheme].variables
@@ -134,7 +134,7 @@ def client_of(place: ObjectPath) -> "ObjectStore":
 
 
 def _server_url(scheme: Scheme) -> str:
-    """Return the address of another server than the provider's own; else nothing."""
+    """Return the address of a server other than the provider's own; else empty."""
     if scheme == "s3":
         return _access().endpoint_url
     return _stated(_SERVICES[scheme].endpoints)
@@ -202,7 +202,7 @@ def _client(
     server_url: str,
     patience_s: float,
 ) -> "ObjectStore":
-    """Connect; `read` are variables that obstore reads itself."""
+    """Connect to a bucket; `read` are the variables that obstore reads itself."""
     try:
         from obstore import store
     except ImportError as error:
@@ -235,14 +235,14 @@ def _client(
     except BaseError as error:
         raise StoreError(
             f"{bucket} cannot be used: {_first(str(error))}. "
-            f"{_SERVICES[bucket.scheme].without_keys}, here and for the workers."
+            f"{_SERVICES[bucket.scheme].without_keys}, here and on the workers."
         ) from error
     return made
 
 
 def _no_bucket(place: ObjectPath) -> StoreError:
     return StoreError(
-        f"There is no bucket {place.bucket} at {_server(place)}. Make it, or check name and "
+        f"There is no bucket {place.bucket} at {_server(place)}. Create it, or check its name and "
         f"{_SERVICES[place.scheme].endpoint}."
     )
 
@@ -257,20 +257,20 @@ def _explanation(place: ObjectPath, error: Exception) -> StoreError:
     text, service = str(error), _SERVICES[place.scheme]
     if _is_no_bucket(text):
         return _no_bucket(place)
-    if "169.254." in text:  # where machines of the provider ask for theirs
+    if "169.254." in text:  # where machines of the provider request credentials
         return StoreError(
             f"{place} cannot be used: there are no credentials. {service.without_keys}, here and "
-            "for the workers."
+            "on the workers."
         )
     if isinstance(error, PermissionDeniedError | UnauthenticatedError):
         return StoreError(
             f"{place} cannot be used: {_server(place)} refuses access{_code(text)}. Check "
-            f"{service.keys}, and what they may do with this bucket."
+            f"{service.keys}, and their permissions for this bucket."
         )
     if _is_unreached(text):
         return StoreError(
             f"{place} cannot be reached at {_server(place)}{_tried(text)}. Check "
-            f"{service.endpoint} and the network; what is stored is kept: run the command "
+            f"{service.endpoint} and the network. Stored results are kept: run the command "
             "again to continue."
         )
     return StoreError(f"{place} cannot be used: {_first(text)}. Check the server and its log.")

@@ -10,7 +10,7 @@ from palpate.storage.errors import StoreError
 Scheme = Literal["s3", "gs", "az"]
 SCHEMES: tuple[Scheme, ...] = get_args(Scheme)
 
-# What any of the services allows: Google underscores, Azure no dots, all of them the rest.
+# Allowed by any of the services: Google allows underscores, Azure no dots, all of them the rest.
 _BUCKET = re.compile(r"[a-z0-9][a-z0-9._-]{1,61}[a-z0-9]")
 
 
@@ -21,7 +21,7 @@ class ObjectPath:
     Parameters
     ----------
     bucket : str
-        Or container, as Azure calls it.
+        Bucket name, or container name on Azure.
     key : str
         Without slashes at its ends; empty for the bucket itself.
     scheme : {"s3", "gs", "az"}
@@ -61,12 +61,12 @@ class ObjectPath:
 
     @property
     def parent(self) -> "ObjectPath":
-        """Return the folder in which it lies."""
+        """Return the parent folder."""
         return replace(self, key=self.key.rpartition("/")[0])
 
 
 def object_path(scheme: Scheme, rest: str, location: object) -> ObjectPath:
-    """Read what follows ``s3://``, ``gs://`` or ``az://``.
+    """Parse the part of an address after ``s3://``, ``gs://`` or ``az://``.
 
     Raises
     ------
@@ -76,8 +76,8 @@ def object_path(scheme: Scheme, rest: str, location: object) -> ObjectPath:
     bucket, _, key = rest.strip("/").partition("/")
     if not _BUCKET.fullmatch(bucket):
         raise StoreError(
-            f"{location} names no bucket: {bucket!r} is not 3 to 63 small letters, digits, dots, "
-            f"dashes and underscores. Give an address such as {scheme}://my-bucket/palpate."
+            f"{location} names no bucket: {bucket!r} is not 3 to 63 lowercase letters, digits, "
+            f"dots, dashes and underscores. Give an address such as {scheme}://my-bucket/palpate."
         )
     parts = [part for part in key.split("/") if part]
     if any(part in (".", "..") for part in parts):

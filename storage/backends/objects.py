@@ -60,7 +60,7 @@ def write(place: ObjectPath, data: bytes) -> None:
 
 
 def create(place: ObjectPath, data: bytes) -> bool:
-    """Put an object on condition that there is none of that name.
+    """Put a new object, on condition that there is none of that name.
 
     The client does not retry a conditional put whose response is lost; the stored object is
     compared instead.
@@ -205,7 +205,7 @@ def _keys(place: ObjectPath) -> list[str]:
 
 
 def _delete(place: ObjectPath, keys: list[str]) -> None:
-    """Remove objects; somebody else may remove them at the same time."""
+    """Remove objects, which other processes may remove at the same time."""
     import obstore
 
     client = client_of(place)
@@ -214,7 +214,7 @@ def _delete(place: ObjectPath, keys: list[str]) -> None:
         try:
             with explained(place):
                 obstore.delete(client, some)
-        except FileNotFoundError:  # and of the others some may still be there
+        except FileNotFoundError:  # some of the others may still exist
             for key in some:
                 with explained(place), suppress(FileNotFoundError):
                     obstore.delete(client, key)

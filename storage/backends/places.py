@@ -24,12 +24,12 @@ def place_of(location: Location) -> Place:
     Parameters
     ----------
     location : str, Path or ObjectPath
-        A folder, ``~`` is the user's home; or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
+        A folder (``~`` is the user's home), or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
 
     Raises
     ------
     StoreError
-        If it is a URL other than ``s3://``, or names no bucket.
+        If it is a URL of another kind, or names no bucket.
     """
     if isinstance(location, ObjectPath):
         return location

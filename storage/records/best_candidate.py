@@ -38,7 +38,7 @@ def rank_of(record: EvaluationRecord) -> Rank | None:
 
 
 def rank_of_line(line: Mapping[str, Any]) -> Rank | None:
-    """Return the rank of an evaluation that is still a line of the journal; see `rank_of`."""
+    """Return the rank of an evaluation from an unparsed line of the journal; see `rank_of`."""
     score, fit = line.get("score"), line.get("fit")
     if not score or line.get("status") != Status.DONE:
         return None
@@ -90,7 +90,7 @@ class BestSoFar:
         self._add(rank_of(record), score_of(record), record.level, lambda: record)
 
     def add_line(self, line: Mapping[str, Any]) -> None:
-        """Add a candidate that is still a line of the journal.
+        """Add a candidate given as an unparsed line of the journal.
 
         Raises
         ------

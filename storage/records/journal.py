@@ -217,7 +217,7 @@ class Journal:
             raise JournalError(
                 f"{self.path} was changed by another program while its study was running: it has "
                 f"{mine.st_size} bytes, expected {self._size}. Run the study again to continue "
-                "from what it holds."
+                "from its present content."
             )
 
     def _cut_back(self) -> None:

@@ -425,4 +425,4 @@ def _is_count(value: Any, least: int) -> bool:
 
 
 def _refuse(what: str) -> None:
-    raise JournalError(f"this record makes no sense: {what}")
+    raise JournalError(f"this record is inconsistent: {what}")

@@ -152,7 +152,7 @@ def _attributes(path: Place) -> dict[str, Any]:
         check_schema(attributes["schema_version"], SCHEMA_VERSION, path)
     except FileNotFoundError as error:
         raise StoreError(
-            f"{path} is not in the store. Run the study again: what is missing is made again."
+            f"{path} is not in the store. Run the study again to create it."
         ) from error
     except (ValueError, KeyError, TypeError) as error:
         raise _damaged(path, f"its description cannot be read: {error!r}") from error
@@ -170,7 +170,7 @@ def _checksum(attributes: Mapping[str, Any]) -> str:
 
 def _damaged(path: Place, what: str) -> StoreError:
     return StoreError(
-        f"{path} is damaged: {what}. Remove that folder and run the study again: it is made again."
+        f"{path} is damaged: {what}. Remove that folder and run the study again to recreate it."
     )
 
 

@@ -31,7 +31,7 @@ class Store:
 
     @property
     def layout(self) -> StoreLayout:
-        """Return the places of the store."""
+        """Return the paths of the store."""
         return StoreLayout(self.root)
 
     @property
@@ -49,7 +49,7 @@ def open_store(location: Location, *, create: bool = True) -> Store:
     Parameters
     ----------
     location : str, Path or ObjectPath
-        A folder, ``~`` is the user's home; or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
+        A folder (``~`` is the user's home), or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
     create : bool
         Create the store if it is missing, and prepare it for writing. Without it the
         store must exist and may be read-only.
@@ -114,8 +114,8 @@ def stored_schema(store: Store) -> int | None:
         return None
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(
-            f"{marker} is damaged ({error}). Remove that file and run the study again: "
-            "what the store holds is found again."
+            f"{marker} is damaged ({error}). Remove that file and run the study again; the "
+            "contents of the store are kept."
         ) from error
     return int(version)
 

@@ -113,7 +113,7 @@ def _damages(
 
 def _record_damage(store: Store, entry: Place, damaged: set[Place]) -> str:
     if entry.suffix != ".json":
-        return f"{entry} is no record of an evaluation."
+        return f"{entry} is not a record of an evaluation."
     record = load_evaluation(store, entry.stem)
     if record is None or record["status"] != "done":
         return ""

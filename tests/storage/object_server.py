@@ -71,7 +71,7 @@ def _steady_port() -> int:
 
 
 def started() -> ObjectServer:
-    """A server that runs; the test is skipped where moto or obstore is missing."""
+    """Return a running server; the test is skipped if moto or obstore is missing."""
     pytest.importorskip("obstore", reason="obstore is not installed: pip install 'palpate[cloud]'")
     pytest.importorskip("moto.server", reason="moto is not installed: pip install 'moto[server]'")
     server = ObjectServer()

@@ -193,7 +193,7 @@ def test_writer_killed_before_the_rename_leaves_nothing_readable(tmp_path, momen
     (leftover,) = tmp_path.iterdir()
     assert leftover.name.startswith(".tmp-")
     assert not exists(path)
-    with pytest.raises(StoreError, match=r"not in the store.*made again"):
+    with pytest.raises(StoreError, match=r"not in the store.*Run the study again"):
         load_arrays(path)
     save_arrays(path, {"a": np.zeros(3)})
     assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]

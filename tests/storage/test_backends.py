@@ -51,7 +51,7 @@ MANY = {
 def location(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> str:
-    """Where a store is to be; for Google and Azure, obstore's own stand-ins on disk, in memory."""
+    """Location of a new store; for Google and Azure, obstore's stand-ins on disk and in memory."""
     if request.param == "folder":
         return str(tmp_path / "deep" / "store")
     if request.param == "s3":
@@ -242,7 +242,7 @@ save_field(store, "f", np.ones((4, 3)))
 
 
 @pytest.mark.parametrize("location", ["folder", "s3"], indirect=True)
-def test_a_writer_killed_in_the_middle_leaves_nothing_that_a_reader_sees(store: Store) -> None:
+def test_killed_writer_leaves_nothing_readable(store: Store) -> None:
     assert run_python(KILLED, str(store)).returncode == -9
     assert not has_field(store, "f")
     (left,) = store.backend.entries(store.layout.fields)

@@ -58,11 +58,11 @@ def test_relative_location_becomes_absolute(tmp_path, monkeypatch):
     assert open_store("~/store").root == tmp_path / "home" / "store"
 
 
-@pytest.mark.parametrize("location", ["gs://b", "file:///tmp/x", "az+x://y"])
+@pytest.mark.parametrize("location", ["ftp://b", "file:///tmp/x", "az+x://y"])
 @pytest.mark.parametrize("kind", [str, Path])
 def test_url_is_refused_and_no_folder_is_created(location, kind, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(StoreError, match=r"local folders and in S3 only.*Give a folder"):
+    with pytest.raises(StoreError, match=r"local folders and in object stores only.*Give a folder"):
         open_store(kind(location))
     assert list(tmp_path.iterdir()) == []
 

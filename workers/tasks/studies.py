@@ -42,7 +42,7 @@ def open_study(folder: Path) -> StudySource:
     """
     layout = StudyLayout(folder)
     if not is_study(folder):
-        raise InputError(f"{folder} is no study: it has no {layout.journal.name}.")
+        raise InputError(f"{folder} is not a study: it has no {layout.journal.name}.")
     records = [record_of(line) for line in Journal.read(layout.journal)]
     sessions = [r for r in records if isinstance(r, SessionRecord)]
     studies = [r for r in records if isinstance(r, StudyRecord)]

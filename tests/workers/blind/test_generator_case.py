@@ -1,4 +1,4 @@
-"""A complete case as files, read like by the diagnosis."""
+"""A complete case as files, read as the diagnosis reads it."""
 
 import json
 from dataclasses import replace

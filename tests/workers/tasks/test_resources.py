@@ -156,7 +156,7 @@ def test_dask_worker_has_one_thread_and_its_name(monkeypatch):
     assert name == "0"
 
 
-def test_functions_with_unset_variables_are_counted():
+def test_unset_closure_variables_have_no_bytes():
     def known():
         return later
 

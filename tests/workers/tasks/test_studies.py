@@ -98,7 +98,7 @@ def test_study_that_has_not_run_names_the_command(tmp_path: Path) -> None:
 
 def test_refuses_folder_that_is_not_a_study(tmp_path: Path) -> None:
     assert not is_study(tmp_path)
-    with pytest.raises(InputError, match="is no study"):
+    with pytest.raises(InputError, match="is not a study"):
         open_study(tmp_path)
 
 

@@ -125,7 +125,7 @@ def _displacement(skin: Skin, f: int, q: int, u: FloatArray, out: FloatArray) ->
 def _place(
     skin: Skin, f: int, q: int, u: FloatArray, displacement: FloatArray, x: FloatArray
 ) -> None:
-    """Fill the displacement of a point and its deformed position x, both (3,)."""
+    """Store the displacement of a point and its deformed position x, both (3,)."""
     _displacement(skin, f, q, u, displacement)
     for i in range(3):
         x[i] = skin.places[f, q, i] + displacement[i]

@@ -131,7 +131,7 @@ class Newton:
         return State(-force.u / stiffness, -force.travel / max(tangent.corner, 1.0))
 
     def _searched(self, state: State, step: State, force: State, force_n: float) -> State | None:
-        """Return the first of ever shorter steps that lowers the energy enough (Armijo)."""
+        """Return the state after a backtracking line search (Armijo), or None."""
         energy = self.system.energy(state, force_n)
         slope = float((force.u * step.u).sum()) + force.travel * step.travel
         fraction = 1.0

@@ -77,7 +77,7 @@ class Coarsening(NamedTuple):
 
 
 def coarsening_of(mesh: QuadraticMesh, pattern: Pattern) -> Coarsening:
-    """Find how the blocks of ten-node elements add to those of their corners."""
+    """Return the mapping of the blocks of ten-node elements to the blocks of their corners."""
     coarse = pattern_of(mesh.cells[:, :4], mesh.corners)
     rows = np.repeat(np.arange(len(mesh.nodes), dtype=np.int32), np.diff(pattern.starts))
     return Coarsening(coarse, _targets(*coarse, mesh.ends[rows], mesh.ends[pattern.columns]))

@@ -49,7 +49,7 @@ def claimed_bytes(shape: Iterable[int], bytes_each: float, what: str) -> int:
         listed = " x ".join(str(n)[:24] for n in sizes[:8])
         raise InputError(
             f"{what} states {listed} voxels, which need {_mib(size)} MiB; images of up to "
-            f"{_mib(most)} MiB are read here. Check its header; crop the image or resample it, "
+            f"{_mib(most)} MiB are supported. Check its header; crop the image or resample it, "
             "and save labels as 8-bit numbers."
         )
     return size

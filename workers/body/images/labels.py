@@ -75,7 +75,7 @@ def _label(label: Any) -> int:
         return int(label)
     except ValueError as error:
         raise InputError(
-            f"{label!r} is no label; labels are whole numbers. Write {{1: fat}}, not {{fat: 1}}."
+            f"{label!r} is not a label; labels are whole numbers. Write {{1: fat}}, not {{fat: 1}}."
         ) from error
 
 
@@ -109,7 +109,7 @@ def tissue_named(name: Tissue | str | int) -> Tissue:
         names = [t.name.lower() for t in Tissue]
         near = difflib.get_close_matches(str(name).strip().lower(), names, n=1)
         hint = f"Did you mean {near[0]}? " if near else ""
-        raise InputError(f"{name!r} is no tissue. {hint}Known: {', '.join(names)}.")
+        raise InputError(f"{name!r} is not a tissue. {hint}Known: {', '.join(names)}.")
     return tissue
 
 

@@ -133,7 +133,7 @@ def _field(key: str) -> str | None:
 
 def _refuse_line(path: Path, number: int, text: str) -> NoReturn:
     raise InputError(
-        f"{path}, line {number}: {text[:60]!r} is no field of the NRRD format. The file is damaged "
+        f"{path}, line {number}: {text[:60]!r} is not an NRRD field. The file is damaged "
         "or misnamed; copy or export it again."
     )
 

@@ -66,7 +66,7 @@ class Hierarchy:
 
     @property
     def finest(self) -> MeshLevel:
-        """Return the finest mesh, on which the solution is wanted."""
+        """Return the finest mesh."""
         return self.levels[-1]
 
 

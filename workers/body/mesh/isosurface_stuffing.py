@@ -81,7 +81,7 @@ def _cut_fractions(
     field: NDArray[np.float32],
     frame: FloatArray,
 ) -> FloatArray:
-    """Return where each edge meets the outline, as a fraction from its inner node (Illinois)."""
+    """Return the crossing of each edge, as a fraction from its inner node (Illinois rule)."""
     cut = np.empty(len(edges))
     for e in range(len(edges)):
         p, q = edges[e, 0], edges[e, 1]

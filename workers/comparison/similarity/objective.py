@@ -94,7 +94,7 @@ HAUSDORFF = Objective("mhd_mm", "Modified Hausdorff distance", unit="mm")
 
 
 def objective_named(name: str) -> Objective:
-    """Return an objective.
+    """Return the objective with this name.
 
     Raises
     ------

@@ -47,7 +47,7 @@ class Score:
 
 
 class Scorer:
-    """Score of candidates against one target.
+    """Scoring of candidates against one target.
 
     Caches data between candidates; not to be shared between threads.
 

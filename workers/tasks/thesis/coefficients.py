@@ -28,7 +28,7 @@ from palpate.workers.thesis.cylinder import CylinderRow, cylinder_experiment
 
 @dataclass(frozen=True)
 class Bend(Request):
-    """Bend the bar; number 0 is the gold deformation."""
+    """Request to bend the bar; number 0 is the gold deformation."""
 
     MODULE: ClassVar[str] = __name__
 
@@ -37,14 +37,14 @@ class Bend(Request):
 
 @dataclass(frozen=True)
 class Compare(Request):
-    """Compare all bars, already bent, with the gold one."""
+    """Request to compare all bars, already bent, with the gold one."""
 
     MODULE: ClassVar[str] = __name__
 
 
 @dataclass(frozen=True)
 class Turn(Request):
-    """Turn the cylinder."""
+    """Request to rotate the cylinder."""
 
     MODULE: ClassVar[str] = __name__
 

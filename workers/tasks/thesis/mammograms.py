@@ -14,7 +14,7 @@ from palpate.workers.thesis.mammogram import PIXEL_MM, mammogram_pair
 
 @dataclass(frozen=True)
 class Expose(Request):
-    """Take mammograms of a phantom, already pressed, on both meshes."""
+    """Request for mammograms of a phantom, already pressed, on both meshes."""
 
     MODULE: ClassVar[str] = __name__
 

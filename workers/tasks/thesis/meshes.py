@@ -33,7 +33,7 @@ from palpate.workers.thesis.scale import Scale
 
 @dataclass(frozen=True)
 class Measure(Request):
-    """Measure one mesh of one phantom."""
+    """Request to measure one mesh of one phantom."""
 
     MODULE: ClassVar[str] = __name__
 
@@ -48,7 +48,7 @@ class Measure(Request):
 
 @dataclass(frozen=True)
 class Press(Request):
-    """Press one phantom on one mesh."""
+    """Request to press one phantom on one mesh."""
 
     MODULE: ClassVar[str] = __name__
 
@@ -65,7 +65,7 @@ class Press(Request):
 
 @dataclass(frozen=True)
 class ComparePressed(Request):
-    """Compare a phantom, already pressed, on both meshes."""
+    """Request to compare a phantom, already pressed, on both meshes."""
 
     MODULE: ClassVar[str] = __name__
 

@@ -11,7 +11,7 @@ from palpate.workers.thesis.identification import TARGETS, TargetName, case_of
 
 @dataclass(frozen=True)
 class Vary(Request):
-    """Compare the target with the body deformed with one other value."""
+    """Request to compare the target with the body deformed with one other value."""
 
     MODULE: ClassVar[str] = __name__
 

@@ -33,7 +33,7 @@ def box_mesh(cells, low_mm, high_mm, *, jitter=0.0, seed=0) -> TetMesh:
 
 
 def inside_some_tet(mesh: TetMesh, displacement_mm, points_mm, tolerance: float):
-    """Check that the best element of each point has barycentric coordinates >= -tolerance."""
+    """Return a mask of the points whose best element has barycentric coordinates >= -tolerance."""
     deformed = mesh.nodes + displacement_mm
     best = np.full(len(points_mm), -np.inf)
     for tet in mesh.tets:

@@ -121,7 +121,7 @@ def test_a_case_cannot_be_changed():
         ),
         (
             {"reference": {"volume": "a", "labels": {1: "fet"}}},
-            "reference.labels: 1: 'fet' is no tissue. Did you mean fat?",
+            "reference.labels: 1: 'fet' is not a tissue. Did you mean fat?",
         ),
         (
             {"reference": PHANTOM, "constants": {"E_glandular_kpa": -4}},

@@ -92,7 +92,7 @@ def _series(images: list[tuple[Path, Any]], what: str) -> Scan:
             raise InputError(f"{path} has no ImagePositionPatient, so its position is unknown.")
         other = check_orientation(dataset.get("ImageOrientationPatient"), str(path))
         if not np.allclose(other, orientation, atol=1e-4):
-            raise InputError(f"{path} has another orientation than {images[0][0].name}.")
+            raise InputError(f"{path} differs from {images[0][0].name} in orientation.")
     positions = np.array([d.ImagePositionPatient for _, d in images], dtype=float)
     planes = stack(positions, orientation, what)
     for _, dataset in images:
@@ -142,7 +142,7 @@ def _refuse_mixed(images: list[tuple[Path, Any]], what: str) -> None:
 
 
 def _pixels(path: Path, dataset: Any) -> NDArray[Any]:
-    """Return pixels after rescale slope and intercept; integers if these are."""
+    """Return pixels after rescale slope and intercept; integers if slope and intercept are."""
     if dataset.get("SamplesPerPixel", 1) != 1:
         raise InputError(f"{path} is a colour image; labels need one number in each pixel.")
     try:

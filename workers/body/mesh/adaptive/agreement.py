@@ -37,7 +37,7 @@ class Agreement:
 def agreement(
     mesh: TetMesh, inside: BoolArray, labels: Volume, tissue: Tissue = Tissue.GLANDULAR
 ) -> Agreement:
-    """Compare a mesh with its voxels, with all tissues but one, and but air, as one material.
+    """Compare a mesh with its voxels; all tissues but one count as the same material.
 
     Parameters
     ----------

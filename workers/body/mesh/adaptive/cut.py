@@ -121,7 +121,7 @@ def _cut_fractions(
     frame: FloatArray,
     level: float,
 ) -> FloatArray:
-    """Return where each edge meets the surface, as a fraction from its negative node (Illinois)."""
+    """Return the crossing of each edge, as a fraction from its negative node (Illinois rule)."""
     part = np.empty(len(edges))
     for e in range(len(edges)):
         p, q = nodes[edges[e, 0]], nodes[edges[e, 1]]

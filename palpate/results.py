@@ -152,10 +152,5 @@ class StudyResults(record.StudyResults):
 
         return on_white(slices_figure(self.folder, view))
 
-    def __repr__(self) -> str:
-        found = ", ".join(map(str, list(self.estimates.values())[:4]))
-        more = ", ..." if len(self.estimates) > 4 else ""
-        return f"<Results of {self.name}, {self.state}: {found}{more}"[:498] + ">"
-
     def _repr_html_(self) -> str:
         return str(results_html(self))

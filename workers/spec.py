@@ -128,6 +128,10 @@ class CaseSpec(Door):
     law_tissues: ClassVar[tuple[str, ...]] = ()
     """The tissues for which a case chooses a law of `workers.mechanics.materials.law_plugins`."""
 
+    def __repr__(self) -> str:
+        held = [f"{name} {value:.4g}" for name, value in self.constants.items()]
+        return f"<Case of a {self.organ}, constants held: {', '.join(held) or 'none'}"[:498] + ">"
+
     @property
     @abstractmethod
     def parameters(self) -> Vocabulary:

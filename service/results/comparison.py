@@ -53,6 +53,9 @@ class ComparedStudy:
     results: StudyResults
     lowest_scores: tuple[float, ...]
 
+    def __repr__(self) -> str:
+        return f"<Compared study {self.label}: {self.results!r}"[:498] + ">"
+
 
 @dataclass(frozen=True)
 class StudyComparison:

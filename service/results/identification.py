@@ -162,6 +162,10 @@ class Identification:
     supported: tuple[str, ...] = ()
     derived: Mapping[str, RelativeInterval] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        answers = ", ".join(f"{name} {c.identifiable}" for name, c in self.constants.items())
+        return f"<Identification at candidate {self.candidate}: {answers}"[:498] + ">"
+
     @property
     def weak(self) -> tuple[str, ...]:
         """Return the names of the constants that are weakly determined or undetermined."""

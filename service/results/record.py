@@ -242,6 +242,11 @@ class StudyResults:
     best_note: str = ""
     posterior: Posterior | None = None
 
+    def __repr__(self) -> str:
+        found = ", ".join(map(str, list(self.estimates.values())[:4]))
+        more = ", ..." if len(self.estimates) > 4 else ""
+        return f"<Results of {self.name}, {self.state}: {found}{more}"[:498] + ">"
+
     @property
     def name(self) -> str:
         """Return the name of the study."""

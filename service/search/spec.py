@@ -181,6 +181,10 @@ class SearchSpec(Door):
             raise ValueError("in_flight needs mode: steady")
         return self
 
+    def __repr__(self) -> str:
+        between = [f"{n} {low:g} to {high:g}" for n, (low, high) in self.parameters.items()]
+        return f"<Search by {self.strategy}: {', '.join(between)}"[:498] + ">"
+
     @property
     def steady(self) -> bool:
         """Return True if there is no barrier between generations."""

@@ -339,6 +339,13 @@ class EvaluationRecord(_JournalRecord):
     fit: FitJson | None = None
     level: int | None = None
 
+    def __repr__(self) -> str:
+        shown = [f"{name} {value:.4g}" for name, value in list(self.genes.items())[:6]]
+        more = ", ..." if len(self.genes) > 6 else ""
+        ending = f"gsf {self.score['gsf']:.4g}" if self.score else f"{self.status}, {self.reason}"
+        text = f"<Candidate {self.candidate} of generation {self.generation}: {', '.join(shown)}"
+        return f"{text}{more}; {ending}"[:498] + ">"
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", Status(self.status))
         _restore_numbers(self, "genes", "score", "outcome", "seconds")

@@ -3,15 +3,27 @@
 import re
 import shutil
 import sys
-from dataclasses import fields
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import fields, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import BaseModel
 
 import palpate
+from palpate.workers.diagnosis.schema.experiment_summary import (
+    ConfoundedEffect,
+    MarkerResidual,
+    MarkerState,
+    PredictedPoint,
+    PredictedState,
+    Reaction,
+)
+from palpate.workers.diagnosis.schema.summary import JointFitSummary, NextAcquisition
 from tests.recovery.stand_ins import Inline, run, small_spec
 from tests.recovery.test_strategies import spec_of
 from tests.service.report.diagnosis_at_hand import VERDICTS, found
@@ -96,6 +108,53 @@ def test_public_objects_are_short_in_print(folders: Folders) -> None:
     for name, value in public_objects(folders).items():
         assert len(repr(value)) < 500, name
         assert repr(value).startswith("<"), name
+
+
+def measured() -> palpate.Diagnosis:
+    """A diagnosis of a bench test with many markers, every part filled."""
+    made = found(VERDICTS["not told apart"])
+    three = (1.0, 2.0, 3.0)
+    points = (MarkerResidual("M", three, three, three),) * 40
+    reactions = (Reaction("top", "z", 1.0, 0.1),) * 9
+    predicted = PredictedState("next", (PredictedPoint("M", three, three),) * 40, reactions)
+    names = [f"effect_{number}" for number in range(40)]
+    sizes = {name: {"E_kpa": 100.0} for name in names}
+    summary = replace(
+        made.summary,
+        primary=tuple(names),
+        markers=(MarkerState("pulled", None, points),),
+        predictions=(predicted,),
+        hidden=(ConfoundedEffect("wall", {"wall_kpa": 1.0}, sizes),),
+        refits=(JointFitSummary(tuple(names), 3.0, None, True, dict.fromkeys(names, 1.0)),),
+        next_acquisitions=(NextAcquisition("turned", (tuple(names),) * 9, tuple(names), 0.5),),
+    )
+    return palpate.Diagnosis(summary, made.maps, made.scans)
+
+
+def parts(name: str, value: Any, deep: int = 4) -> Iterator[tuple[str, Any]]:
+    """Every object of this project that is reached from one by its public attributes."""
+    if isinstance(value, dict | tuple | list):
+        items = value.items() if isinstance(value, dict) else enumerate(value[:3])
+        for key, one in items:
+            yield from parts(f"{name}[{key}]", one, deep)
+    elif type(value).__module__.startswith("palpate") and not callable(value):
+        yield name, value
+        fields_of = type(value).model_fields if isinstance(value, BaseModel) else dir(value)
+        for attribute in fields_of if deep else ():
+            if not attribute.startswith("_"):
+                with suppress(palpate.PalpateError):  # a study that has not begun has no results
+                    yield from parts(f"{name}.{attribute}", getattr(value, attribute), deep - 1)
+
+
+def test_all_that_is_reached_from_public_objects_is_short_in_print(folders: Folders) -> None:
+    lengths = {
+        path: len(repr(part))
+        for name, value in (public_objects(folders) | {"bench": measured()}).items()
+        for path, part in parts(name, value)
+    }
+    for path in ("results.best", "bench.summary.markers[0]", "results.identification"):
+        assert path in lengths
+    assert {path: length for path, length in lengths.items() if length >= 500} == {}
 
 
 def test_public_objects_are_shown_as_html(folders: Folders) -> None:

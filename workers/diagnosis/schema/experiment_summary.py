@@ -51,6 +51,9 @@ class MarkerState:
     points: tuple[MarkerResidual, ...]
     reactions: tuple[ReactionResidual, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<State {self.state}: {len(self.points)} points measured>"
+
 
 @dataclass(frozen=True, slots=True)
 class ConfoundedEffect:
@@ -59,6 +62,9 @@ class ConfoundedEffect:
     name: str
     size: Mapping[str, float]
     constants_kpa: Mapping[str, Mapping[str, float]]
+
+    def __repr__(self) -> str:
+        return f"<Confounded effect {self.name}: {', '.join(self.constants_kpa)}"[:498] + ">"
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,3 +83,6 @@ class PredictedState:
     state: str
     points: tuple[PredictedPoint, ...]
     reactions: tuple[Reaction, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<State {self.state}: {len(self.points)} points predicted>"

@@ -94,6 +94,10 @@ class GapSummary:
     fitted_mm: float | None = None
     undeformed_mm: float | None = None
 
+    def __repr__(self) -> str:
+        after = "" if self.after is None else f", {self.after.gap_mm:.3g} mm with the cause"
+        return f"<Gap of {self.before.gap_mm:.3g} mm{after}>"
+
     @property
     def fits_no_better_than_rest(self) -> bool:
         """Whether the body at rest explains the scans as well as the best fit does."""
@@ -189,6 +193,9 @@ class EffectSummary:
     refitted: bool
     shown: ShownMagnitude | None = None
 
+    def __repr__(self) -> str:
+        return f"<Effect {self.name}: probability {self.probability:.2g}>"
+
 
 @dataclass(frozen=True, slots=True)
 class ConstantEstimate:
@@ -226,6 +233,10 @@ class JointFitSummary:
     field_gain: float | None
     converged: bool
     values: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        effects = ", ".join(self.effects) or "no effect"
+        return f"<Joint fit of {effects}: {self.log_evidence_gain:+.3g} nats"[:498] + ">"
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,6 +299,10 @@ class NextAcquisition:
     separates: tuple[tuple[str, ...], ...]
     reveals: tuple[str, ...]
     minimum_ratio: float
+
+    def __repr__(self) -> str:
+        told_apart = f"separates {len(self.separates)} pairs"
+        return f"<Measurement {self.name}: {told_apart}, reveals {len(self.reveals)} effects>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,6 +383,11 @@ class Summary:
     caveats: tuple[str, ...] | None = None
     doubts: tuple[str, ...] = ()
     data_notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        cause = f" ({', '.join(self.primary)})" if self.primary else ""
+        text = f"<Summary of {self.case}: {self.verdict}{cause}, {self.gap_mm!r}"
+        return f"{text}, {len(self.effects)} effects, {self.points} points"[:498] + ">"
 
     def effect(self, name: str) -> EffectSummary:
         """Return what is known of one effect.

@@ -18,6 +18,7 @@ from palpate.workers.mechanics.fem.problem.loads import (
     DisplacementField,
     Hold,
     NoPlates,
+    Pressure,
     Wall,
 )
 from palpate.workers.mechanics.fem.problem.regions import Box
@@ -124,6 +125,7 @@ def problem_of(
             for force in loads.forces
         ),
         holds=tuple(holds),
+        pressures=((Pressure(KPA.to_inside(loads.pressure_kpa)),) if loads.pressure_kpa else ()),
     )
 
 

@@ -331,7 +331,7 @@ def test_what_a_sheet_cannot_carry_is_refused(strip):
         sheet_mesh(RECTANGLE, [], 20, THICKNESS)
     with pytest.raises(InputError, match="encloses no area"):
         sheet_mesh(RECTANGLE[[0, 2, 1, 3]], [], 300, THICKNESS)
-    crossed = np.array([[0, 0], [30, 0], [0, 20], [30, 10]], float)
+    crossed = np.array([[0, 0], [30, 0], [10, 20], [20, -5]], float)
     with pytest.raises(InputError, match="does not cross itself"):
         sheet_mesh(crossed, [], 300, THICKNESS)
 

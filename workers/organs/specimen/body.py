@@ -16,6 +16,7 @@ from palpate.workers.diagnosis.outcome.pictures.edges import sharp_edges
 from palpate.workers.diagnosis.problem.forward import Forward, Tetrahedra
 from palpate.workers.mechanics.fem.elements.model import Model, prepare
 from palpate.workers.mechanics.fem.problem.fields import Frame, frame_of
+from palpate.workers.mechanics.fem.problem.regions import Box
 from palpate.workers.organs.specimen.block import block
 from palpate.workers.organs.specimen.load_cell_forces import TetrahedraWithCells
 from palpate.workers.organs.specimen.load_cells import LoadCell
@@ -110,6 +111,9 @@ class Body:
         moved = (move.region for move in self.spec.states[0].moves)
         for region in [hold.region for hold in self.spec.holds] or moved:
             box = region_of(self.spec.regions[region])
+            if not isinstance(box, Box):
+                middles.append((low + high) / 2)
+                continue
             ends = [np.clip(corner, low, high) for corner in (box.lower_mm, box.upper_mm)]
             middles.append((ends[0] + ends[1]) / 2)
         x, y, z = np.mean(middles, axis=0)

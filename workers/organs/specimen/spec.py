@@ -131,8 +131,15 @@ class PlaneSpec(Door):
     at_mm: Finite = Field(description="position of the plane along the axis, in mm")
 
 
+class CircleSpec(Door):
+    """All points at least so far from an axis along z, such as the clamped rim of a round sheet."""
+
+    centre: tuple[Finite, Finite] = Field(description="[x, y] of the axis in mm")
+    radius: Positive = Field(description="in mm; a little less than that of the body")
+
+
 class RegionSpec(Door):
-    """A place on the body: a box or a plane.
+    """A place on the body: a box, a plane or all that is outside of a circle.
 
     Parameters
     ----------
@@ -140,12 +147,20 @@ class RegionSpec(Door):
         All points between two corners.
     plane
         All points of a plane normal to an axis.
+    outside_circle_mm
+        All points at least so far from an axis along z.
     """
 
-    exactly_one: ClassVar[Pairs] = (("box_mm", "plane"),)
+    exactly_one: ClassVar[Pairs] = (("box_mm", "plane", "outside_circle_mm"),)
 
     box_mm: BoxSpec | None = None
     plane: PlaneSpec | None = None
+    outside_circle_mm: CircleSpec | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what older experiments do not have, or their digests would change."""
+        return _without(handler(self), "outside_circle_mm")
 
 
 class MaterialSpec(Door):

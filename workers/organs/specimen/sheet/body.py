@@ -7,6 +7,7 @@ from scipy.sparse import csr_matrix
 
 from palpate.storage.values import FloatArray, IntArray, Volume
 from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.fem.problem.regions import Box
 from palpate.workers.mechanics.sheet.mesh import sheet_mesh
 from palpate.workers.mechanics.sheet.model import SheetModel
 from palpate.workers.organs.specimen.body import FARTHEST_MM, Body
@@ -72,6 +73,8 @@ class SheetBody(Body):
         beyond = float(np.linalg.norm(high - low))
         for region in self.spec.regions.values():
             box = region_of(region)
+            if not isinstance(box, Box):
+                continue
             a = np.maximum(box.lower_mm, low - beyond)[:2]
             b = np.minimum(box.upper_mm, high + beyond)[:2]
             a, b = (np.round(corner, 2) for corner in (a, b))

@@ -22,14 +22,12 @@ MOVING_PAD_MM = (30.0, 24.0)  # middle of its marks in the frame of the sheet
 
 def main(folder: Path, out: Path) -> None:
     def read(name: str) -> np.ndarray:
-        # Some releases keep the raw numbers in a folder of their own.
-        found = next(folder.rglob(f"{name}.dat"))
-        return np.loadtxt(found)
+        return np.loadtxt(next(folder.rglob(f"{name}.dat")))
 
     rest = np.stack([read("x0"), read("y0")])
     moved = np.stack([read("xt"), read("yt")])
     marks = [np.stack([read(f"{a}0_ref_{pad}") for a in "xy"]) for pad in (1, 2)]
-    later = [np.stack([read(f"{a}t_ref_{pad}") for a in "xy"]) for pad in (1, 2)]
+    fixed_pad = np.stack([read(f"{a}t_ref_2") for a in "xy"])
     mm = MARKS_MM / np.mean([abs(np.diff(one[1])[0]) for one in marks])
     origin = np.array(MOVING_PAD_MM) - mm * marks[0].mean(axis=1)
     _, columns = np.unique(rest[0], return_inverse=True)
@@ -38,13 +36,11 @@ def main(folder: Path, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     shutil.copy(Path(__file__).with_name("sheet.yaml"), out)
     for frame in FRAMES:
-        drift = (later[1][..., frame - 1] - marks[1]).mean(axis=1)
-        pad = (later[0][..., frame - 1] - marks[0]).mean(axis=1) - drift
+        drift = (fixed_pad[..., frame - 1] - marks[1]).mean(axis=1)
         u = mm * (moved[..., frame - 1] - rest - drift[:, None])
         table = np.column_stack([(origin[:, None] + mm * rest).T, u.T])[chosen]
         head = "x_mm,y_mm,ux_mm,uy_mm"
         np.savetxt(out / f"frame_{frame}.csv", table, "%.5f", ",", header=head, comments="")
-        print(f"frame {frame}: {len(table)} points, the moving pad by {np.round(mm * pad, 4)} mm")
 
 
 if __name__ == "__main__":

@@ -78,6 +78,7 @@ if TYPE_CHECKING:
     from palpate.search import Search
     from palpate.service.batch.evaluations import Evaluations
     from palpate.service.errors import ClusterError, GenerationCrashError, TaskError
+    from palpate.service.forward.sheet_simulation import SheetSimulation
     from palpate.service.forward.simulation import Simulation
     from palpate.service.remote.client import JobEvent
     from palpate.service.results.record import ParameterEstimate
@@ -108,6 +109,7 @@ _HOMES = {
     "diagnose": "palpate.diagnosis",
     "Breast": "palpate.forward",
     "Simulation": "palpate.service.forward.simulation",
+    "SheetSimulation": "palpate.service.forward.sheet_simulation",
     "Cornea": "palpate.cornea",
     "CorneaSimulation": "palpate.cornea",
     "parameters": "palpate.vocabulary",
@@ -169,6 +171,7 @@ __all__ = [
     "Samples",
     "Search",
     "Service",
+    "SheetSimulation",
     "Simulation",
     "Specimen",
     "StopSearch",

@@ -9,6 +9,7 @@ import numpy as np
 
 from palpate.service.cluster.foreign_workers import prepare_workers
 from palpate.service.forward.case_keys import stated_in
+from palpate.service.forward.sheet_simulation import LoadedSheet, SheetSimulation
 from palpate.service.forward.simulation import MeshedBody, Simulation
 from palpate.storage import values
 from palpate.storage.digest import digest
@@ -16,11 +17,10 @@ from palpate.storage.errors import InputError
 from palpate.storage.records.evaluations import load_evaluation, save_evaluation
 from palpate.storage.records.tasks import EvaluationResult
 from palpate.storage.stores.fields import load_field, save_field
-from palpate.workers.mechanics.fem.elements.model import Model, prepare
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.parameters import Parameter, Vocabulary, unknown_name
-from palpate.workers.organs.specimen.body import Body
 from palpate.workers.organs.specimen.problem import free_constants, problem_of
+from palpate.workers.organs.specimen.sheet.body import body_of
 from palpate.workers.organs.specimen.spec import LoadsSpec, SpecimenSpec, read_spec
 from palpate.workers.organs.specimen.voxelised_mesh import body_of_file
 from palpate.workers.resources import worker_name
@@ -37,8 +37,8 @@ __all__ = ["Specimen"]
 
 # What a simulation depends on: how the problem is stated, meshed and solved.
 _PHYSICS = (
-    "palpate.workers.organs.specimen.body",
     "palpate.workers.organs.specimen.problem",
+    "palpate.workers.organs.specimen.sheet.body",
     "palpate.workers.mechanics.fem.elements.model",
     "palpate.workers.mechanics.fem.equilibrium.solve",
 )
@@ -92,8 +92,8 @@ class Specimen:
         client: "Client | None" = None,
         store: str | Path = "runs/store",
         **constants: float,
-    ) -> Simulation:
-        """Load the specimen once.
+    ) -> Simulation | SheetSimulation:
+        """Load the specimen once; the result of a sheet is a `SheetSimulation`.
 
         Parameters
         ----------
@@ -156,19 +156,20 @@ class _Bench:
         self.spec: Any = spec
         self.voxels = voxels
         self.nodes = nodes
-        self._body = Body(spec, voxels)
+        self._body = body_of(spec, voxels)
 
-    def loaded(self, loads: LoadsSpec) -> MeshedBody:
+    def loaded(self, loads: LoadsSpec) -> MeshedBody | LoadedSheet:
         """Return the specimen in one state."""
+        kind = MeshedBody if self.spec.body.sheet is None else LoadedSheet
 
         def problem(constants: Mapping[str, float]) -> Problem:
             return problem_of(self.spec, loads, constants, self._body.wall_mm)
 
-        return MeshedBody(self._model, self.vocabulary, self.vocabulary.complete, problem)
+        return kind(self._model, self.vocabulary, self.vocabulary.complete, problem)
 
     @cached_property
-    def _model(self) -> Model:
-        return prepare(self._body.mesh(self.nodes))
+    def _model(self) -> Any:
+        return self._body.model(self.nodes)
 
     @cached_property
     def vocabulary(self) -> Vocabulary:

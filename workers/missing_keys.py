@@ -12,8 +12,8 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticCustomError
 
 MISSING = "missing"
-Pairs = tuple[tuple[str, str], ...]
-"""Pairs of keys of which exactly one has to be given."""
+Pairs = tuple[tuple[str, ...], ...]
+"""Pairs, or more, of keys of which exactly one has to be given."""
 
 
 def missing(text: str) -> PydanticCustomError:
@@ -84,9 +84,9 @@ def missing_pairs(
     """
     pairs: Pairs = getattr(model, "exactly_one", ())
     return [
-        _neither(model, *((second, first) if second in empty else (first, second)), empty)
-        for first, second in pairs
-        if data.get(first) is None and data.get(second) is None
+        _none_of(model, sorted(keys, key=lambda key: key not in empty), empty)
+        for keys in pairs
+        if all(data.get(key) is None for key in keys)
     ]
 
 
@@ -115,14 +115,25 @@ def _has_more(place: tuple[Any, ...], places: Sequence[tuple[Any, ...]]) -> bool
     return any(len(p) > len(place) and p[: len(place)] == place for p in places)
 
 
-def _neither(model: type[BaseModel], key: str, other: str, empty: Collection[str]) -> str:
-    """Return what belongs into `key`, which is empty, or into one of the two."""
-    fields = model.model_fields
-    if key in empty and other not in empty:
-        return f"{key} is missing: {fields[key].description or key}; or give {other}"
-    about = [f"{k} is {text}" for k in (key, other) if (text := fields[k].description)]
+def one_of(keys: Sequence[str]) -> str:
+    """Return the demand for exactly one of some keys.
+
+    Examples
+    --------
+    >>> one_of(["box_mm", "mesh", "sheet"])
+    'give exactly one of box_mm, mesh and sheet'
+    """
+    return f"give exactly one of {', '.join(keys[:-1])} and {keys[-1]}"
+
+
+def _none_of(model: type[BaseModel], keys: Sequence[str], empty: Collection[str]) -> str:
+    """Return what belongs into the first of `keys`, if that alone is empty, or into any."""
+    fields, (key, *others) = model.model_fields, keys
+    if key in empty and not any(other in empty for other in others):
+        return f"{key} is missing: {fields[key].description or key}; or give {' or '.join(others)}"
+    about = [f"{k} is {text}" for k in keys if (text := fields[k].description)]
     explained = f": {', '.join(about)}" if about else ""
-    return f"give exactly one of {key} and {other}, found neither{explained}"
+    return f"{one_of(keys)}, found {'neither' if len(keys) == 2 else 'none'}{explained}"
 
 
 @cache

@@ -32,6 +32,7 @@ from palpate.workers.missing_keys import (
     missing,
     missing_pairs,
     missing_text,
+    one_of,
     without_empty_keys,
 )
 from palpate.workers.plugins import Group, plugin
@@ -71,7 +72,7 @@ LawName = Annotated[str, AfterValidator(lambda name: checked_name("laws", name))
 class Door(BaseModel):
     """A frozen record that refuses unknown keys; an empty key counts as left out.
 
-    Of each pair in `exactly_one` one key has to be given.
+    Of each pair, or more, in `exactly_one` one key has to be given.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -92,9 +93,11 @@ class Door(BaseModel):
     @model_validator(mode="after")
     def _exactly_one_of_each_pair(self) -> Self:
         given = {key for key in type(self).model_fields if getattr(self, key) is not None}
-        for first, second in self.exactly_one:
-            if given >= {first, second}:
-                raise ValueError(f"give exactly one of {first} and {second}, found both")
+        for keys in self.exactly_one:
+            several = [key for key in keys if key in given]
+            if len(several) > 1:
+                found = "both" if len(keys) == 2 else " and ".join(several)
+                raise ValueError(f"{one_of(keys)}, found {found}")
         if lacking := missing_pairs(type(self), dict.fromkeys(given, True), self.model_fields_set):
             raise missing("; ".join(lacking))
         return self

@@ -42,11 +42,14 @@ class Recording:
         nan where a marker was not seen.
     name : str
         Name of the file, for messages.
+    is_flat : bool
+        Whether z was not recorded; it is zero.
     """
 
     times_s: FloatArray
     places_mm: Mapping[str, FloatArray]
     name: str = "the recording"
+    is_flat: bool = False
 
     def mean(self, name: str, window_s: tuple[float, float]) -> FloatArray:
         """Return the mean position of a marker in a time window, shape (3,).
@@ -91,7 +94,12 @@ class Recording:
 
 
 def read_recording(
-    path: Path, time: str, column: str, names: Sequence[str], mm_per_unit: float
+    path: Path,
+    time: str,
+    column: str,
+    names: Sequence[str],
+    mm_per_unit: float,
+    z_is_optional: bool = False,
 ) -> Recording:
     """Read the markers of a table.
 
@@ -107,6 +115,8 @@ def read_recording(
         The markers to read.
     mm_per_unit : float
         Length unit of the table: 1000 for m.
+    z_is_optional : bool
+        Whether the columns of z may all be absent, as of a sheet.
 
     Raises
     ------
@@ -115,13 +125,17 @@ def read_recording(
     """
     wanted = {n: [column.replace("{axis}", a).replace("{marker}", n) for a in AXES] for n in names}
     units = {c: _names_of(mm_per_unit) for three in wanted.values() for c in three}
-    table = read_table(path, [time, *units], units={**units, time: SECONDS})
+    depths = [three[2] for three in wanted.values()] if z_is_optional else []
+    needed = [time, *(c for c in units if c not in depths)]
+    table = read_table(path, needed, depths, units={**units, time: SECONDS})
     _check_times(path, table[time], table.lines)
+    is_flat = z_is_optional and not any(c in table.columns for c in depths)
+    columns = {**dict.fromkeys(depths, np.zeros(len(table.lines))), **table.columns}
     places = {
-        name: mm_per_unit * np.column_stack([table[c] for c in three])
+        name: mm_per_unit * np.column_stack([columns[c] for c in three])
         for name, three in wanted.items()
     }
-    return Recording(table[time], without_lost(places), str(path))
+    return Recording(table[time], without_lost(places), str(path), is_flat)
 
 
 def _names_of(mm_per_unit: float) -> list[str]:

@@ -23,6 +23,10 @@ Numbers = NDArray[np.int64]
 
 FEWEST_CELLS = 4  # across the shortest side of the finest lattice
 COARSEST_CELLS = 3  # across the shortest side of the coarsest one
+# Nodes of a lattice that is factored as a whole; of a larger one the long sides are halved alone.
+MOST_FACTORED = 1000
+# A block so many times wider than thick may be a sheet.
+THIN = 20.0
 
 
 def block(size_mm: Triple, nodes: int, tissue: Tissue = Tissue.FAT) -> Hierarchy:
@@ -48,9 +52,8 @@ def block(size_mm: Triple, nodes: int, tissue: Tissue = Tissue.FAT) -> Hierarchy
 def lattices(size_mm: Triple, finest: Cells, tissue: Tissue = Tissue.FAT) -> Hierarchy:
     """Mesh a block by a lattice of these cells and coarser ones, each of half as many."""
     cells = [finest]
-    while min(cells[0]) >= 2 * COARSEST_CELLS:
-        halved = [max(1, round(n / 2)) for n in cells[0]]
-        cells.insert(0, (halved[0], halved[1], halved[2]))
+    while (coarser := _coarser(cells[0])) is not None:
+        cells.insert(0, coarser)
     meshes = [lattice(size_mm, each) for each in cells]
     walls = [np.flatnonzero(mesh.nodes[:, 2] == 0).astype(np.int32) for mesh in meshes]
     transfers = [
@@ -64,6 +67,15 @@ def lattices(size_mm: Triple, finest: Cells, tissue: Tissue = Tissue.FAT) -> Hie
         surface, _ = split_boundary(boundary_triangles(mesh.tets), wall)
         levels.append(MeshLevel(mesh, fractions, wall, surface, transfer))
     return Hierarchy(tuple(levels), float(np.cbrt(np.prod(size_mm) / np.prod(finest))))
+
+
+def _coarser(cells: Cells) -> Cells | None:
+    """Return half as many cells, where they are many along the long sides only; None if few."""
+    long = [n >= 2 * COARSEST_CELLS for n in cells]
+    if (not all(long) and _count(np.array(cells)) <= MOST_FACTORED) or not any(long):
+        return None
+    a, b, c = (round(n / 2) if halved else n for n, halved in zip(cells, long, strict=True))
+    return a, b, c
 
 
 def cells_of(size_mm: Triple, nodes: int) -> Cells:
@@ -86,9 +98,18 @@ def cells_of(size_mm: Triple, nodes: int) -> Cells:
         raise InputError(
             f"A mesh of {nodes} nodes is too coarse for a block of {list(size_mm)} mm: its "
             f"shortest side needs {FEWEST_CELLS} elements across. Ask for {least:.0f} nodes or "
-            "more."
+            f"more{_or_a_sheet(size_mm)}."
         )
     return int(cells[0]), int(cells[1]), int(cells[2])
+
+
+def _or_a_sheet(size_mm: Triple) -> str:
+    """Return the hint that a thin block can be a sheet; empty for others."""
+    thin, middle, _ = sorted(size_mm)
+    if middle < THIN * thin:
+        return ""
+    x, y = (f"{side:g}" for side in size_mm if side > thin)
+    return f"; or state it as a sheet: {{size_mm: [{x}, {y}], thickness_mm: {thin:g}}}"
 
 
 def _count(cells: FloatArray) -> float:

@@ -2,16 +2,24 @@
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from palpate.storage.values import FloatArray, TetMesh, Triple, Volume
+from palpate.storage.values import FloatArray, IntArray, TetMesh, Triple, Volume
 from palpate.workers.body.mesh.boundary import boundary_triangles
 from palpate.workers.body.mesh.hierarchy import Hierarchy
 from palpate.workers.body.mesh.whole_body import mesh_whole_body
 from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.diagnosis.outcome.pictures.edges import sharp_edges
+from palpate.workers.diagnosis.problem.forward import Forward, Tetrahedra
+from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.problem.fields import Frame, frame_of
+from palpate.workers.mechanics.fem.problem.regions import Box
 from palpate.workers.organs.specimen.block import block
+from palpate.workers.organs.specimen.load_cell_forces import TetrahedraWithCells
+from palpate.workers.organs.specimen.load_cells import LoadCell
 from palpate.workers.organs.specimen.problem import region_of
 from palpate.workers.organs.specimen.readings.spec import FinitePoint
 from palpate.workers.organs.specimen.spec import SpecimenSpec
@@ -50,13 +58,43 @@ class Body:
             return block(box, nodes, self.spec.tissue_of(next(iter(self.spec.materials))))
         return mesh_whole_body(self._volume, nodes=nodes)
 
-    @cached_property
+    def model(self, nodes: int) -> Any:
+        """Return a mesh of about so many nodes, ready to be solved; see `mesh`."""
+        return prepare(self.mesh(nodes))
+
+    def frame(self, model: Any) -> Frame:
+        """Return the box around the body."""
+        return frame_of(model.finest.nodes)
+
+    def at_points(self, model: Any, points_mm: FloatArray) -> csr_matrix:
+        """Return the matrix from values at nodes to values at points, shape (k, n)."""
+        return interpolation(_mesh_of(model), points_mm, FARTHEST_MM)
+
+    def arms(
+        self,
+        model: Any,
+        feet_mm: FloatArray,
+        outward: Sequence[FinitePoint | None],
+        names: Sequence[str],
+    ) -> csr_matrix:
+        """Return the motion of arms on the surface; see `arms`."""
+        return arms(_mesh_of(model), feet_mm, outward, names)
+
+    def forward(self, cells: Sequence[LoadCell]) -> Forward:
+        """Return what solves the body, and reads load cells."""
+        return TetrahedraWithCells(cells) if cells else Tetrahedra()
+
+    def edges(self, model: Any) -> IntArray:
+        """Return pairs of nodes that show the shape of the body, shape (e, 2)."""
+        finest = model.finest
+        return sharp_edges(finest.nodes, boundary_triangles(finest.elements.tets))
+
+    @property
     def box_mm(self) -> tuple[FloatArray, FloatArray]:
         """Lowest and highest corner, shape (3,) each."""
         if self.spec.body.box_mm is not None:
             return np.zeros(3), np.asarray(self.spec.body.box_mm, np.float64)
-        places = np.argwhere(self._volume.values)[:, ::-1]
-        low, high = places.min(axis=0) - 0.5, places.max(axis=0) + 0.5
+        low, high = self._voxels_box
         origin, step = np.asarray(self._volume.origin_mm), np.asarray(self._volume.spacing_mm)
         return origin + low * step, origin + high * step
 
@@ -73,10 +111,19 @@ class Body:
         moved = (move.region for move in self.spec.states[0].moves)
         for region in [hold.region for hold in self.spec.holds] or moved:
             box = region_of(self.spec.regions[region])
+            if not isinstance(box, Box):
+                middles.append((low + high) / 2)
+                continue
             ends = [np.clip(corner, low, high) for corner in (box.lower_mm, box.upper_mm)]
             middles.append((ends[0] + ends[1]) / 2)
         x, y, z = np.mean(middles, axis=0)
         return float(x), float(y), float(z)
+
+    @cached_property
+    def _voxels_box(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest corner of the body in voxels."""
+        places = np.argwhere(self._volume.values)[:, ::-1]
+        return places.min(axis=0) - 0.5, places.max(axis=0) + 0.5
 
     @property
     def _volume(self) -> Volume:
@@ -84,6 +131,10 @@ class Body:
         if self.voxels is None:
             raise AssertionError("a block has no voxels")
         return self.voxels
+
+
+def _mesh_of(model: Model) -> TetMesh:
+    return TetMesh(model.finest.nodes, model.finest.elements.tets)
 
 
 def arms(

@@ -32,6 +32,12 @@ NO_STIFFENING = (
     "strain stiffening",
     "no material is neo-Hookean: the shape constants of its law say how it stiffens",
 )
+BENDING = (
+    "bending and wrinkles",
+    "a sheet resists stretching alone, and stays flat where it is compressed",
+)
+# A direction whose part across a sheet is smaller lies in its plane.
+IN_PLANE = 1e-6
 
 
 def specimen_effects(
@@ -43,6 +49,7 @@ def specimen_effects(
     clamped: bool,
     known_nu: bool,
     can_stiffen: bool = True,
+    is_sheet: bool = False,
 ) -> tuple[Effect, ...]:
     """Return the catalogue of an experiment.
 
@@ -64,10 +71,13 @@ def specimen_effects(
         Whether Poisson's ratios are stated: one that is searched is a constant, no effect.
     can_stiffen : bool
         Whether any material is neo-Hookean; the shape constants of other laws say how they stiffen.
+    is_sheet : bool
+        Whether the body is a sheet, whose weight is felt in its plane only.
     """
-    effects: list[Effect] = [self_weight(down)] if weightless else []
+    is_felt = not is_sheet or abs(down[2]) < IN_PLANE
+    effects: list[Effect] = [self_weight(down)] if weightless and is_felt else []
     if loaded is not None:
-        effects += [LOAD_SCALE, added_mass(down, loaded)]
+        effects += [LOAD_SCALE, *([added_mass(down, loaded)] if is_felt else [])]
     if clamped:
         effects += [CLAMP_COMPLIANCE]
     effects += [GRADIENT, *([COMPRESSIBILITY] if known_nu else [])]

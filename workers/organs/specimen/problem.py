@@ -18,9 +18,10 @@ from palpate.workers.mechanics.fem.problem.loads import (
     DisplacementField,
     Hold,
     NoPlates,
+    Pressure,
     Wall,
 )
-from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.mechanics.fem.problem.regions import Box, OutsideCircle
 from palpate.workers.mechanics.materials.law_plugins import DEFAULT_LAW, law_named
 from palpate.workers.organs.specimen.spec import (
     Axis,
@@ -55,13 +56,16 @@ def shape_name(spec: SpecimenSpec, material: str, name: str) -> str:
     return name if len(spec.materials) == 1 else f"{name}_{material}"
 
 
-def region_of(region: RegionSpec) -> Box:
+def region_of(region: RegionSpec) -> Box | OutsideCircle:
     """Return a place on the body as the solver takes it."""
     if region.box_mm is not None:
         low, high = region.box_mm.lower, region.box_mm.upper
         return Box(_moved(low, -NEAR_MM), _moved(high, NEAR_MM))
+    if region.outside_circle_mm is not None:
+        circle = region.outside_circle_mm
+        return OutsideCircle(circle.centre, circle.radius)
     if region.plane is None:
-        raise AssertionError("a region is a box or a plane")
+        raise AssertionError("a region is a box, a plane or outside of a circle")
     axis = AXES.index(region.plane.axis)
     lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
     lower[axis], upper[axis] = region.plane.at_mm - NEAR_MM, region.plane.at_mm + NEAR_MM
@@ -124,6 +128,7 @@ def problem_of(
             for force in loads.forces
         ),
         holds=tuple(holds),
+        pressures=((Pressure(KPA.to_inside(loads.pressure_kpa)),) if loads.pressure_kpa else ()),
     )
 
 

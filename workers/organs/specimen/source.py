@@ -1,6 +1,6 @@
 """A bench experiment as something that can be diagnosed."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -10,32 +10,32 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from palpate.storage.errors import InputError
-from palpate.storage.values import BoolArray, FloatArray, TetMesh, Volume
+from palpate.storage.values import BoolArray, FloatArray, Volume
 from palpate.workers.comparison.observation.interface import InterfacePoints
 from palpate.workers.comparison.observation.noise import SegmentationNoise
-from palpate.workers.comparison.observation.point_interpolation import interpolation
 from palpate.workers.diagnosis.fits.gauss_newton import Fit
 from palpate.workers.diagnosis.outcome.pictures.edges import edge_arrays
 from palpate.workers.diagnosis.outcome.pictures.scan_pictures import Displacements
 from palpate.workers.diagnosis.outcome.source import SourceContent
 from palpate.workers.diagnosis.problem.force_readings import at_points_with_forces
-from palpate.workers.diagnosis.problem.forward import Tetrahedra
 from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, InverseProblem, Scan
 from palpate.workers.diagnosis.problem.preparation import ReadPrepared
 from palpate.workers.diagnosis.schema.experiment_summary import PredictedState
 from palpate.workers.diagnosis.schema.summary import Summary
 from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
 from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.fem.elements.model import Model, prepare
+from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
-from palpate.workers.mechanics.fem.problem.fields import frame_of
 from palpate.workers.mechanics.fem.problem.loads import DisplacementField
-from palpate.workers.organs.specimen.body import FARTHEST_MM, Body, arms
 from palpate.workers.organs.specimen.boundary_noise import boundary_covariance
 from palpate.workers.organs.specimen.confounded_effects import confounded_effects
-from palpate.workers.organs.specimen.effects import NO_STIFFENING, NOT_SIMULATED, specimen_effects
+from palpate.workers.organs.specimen.effects import (
+    BENDING,
+    NO_STIFFENING,
+    NOT_SIMULATED,
+    specimen_effects,
+)
 from palpate.workers.organs.specimen.force_balance import supported
-from palpate.workers.organs.specimen.load_cell_forces import TetrahedraWithCells
 from palpate.workers.organs.specimen.load_cells import (
     LoadCell,
     covariance_with,
@@ -52,6 +52,7 @@ from palpate.workers.organs.specimen.plausibility import (
 from palpate.workers.organs.specimen.prediction import predict
 from palpate.workers.organs.specimen.problem import free_constants, is_wall, problem_of, region_of
 from palpate.workers.organs.specimen.readings.marker_data import Observed
+from palpate.workers.organs.specimen.sheet.body import body_of
 from palpate.workers.organs.specimen.spec import LoadsSpec, SpecimenSpec, StateSpec
 from palpate.workers.organs.specimen.summary_rows import (
     COMPONENTS,
@@ -104,7 +105,7 @@ class SpecimenSource:
     def __init__(self, spec: SpecimenSpec, observed: Observed, voxels: Volume | None) -> None:
         self.spec = spec
         self.observed = observed
-        self.body = Body(spec, voxels)
+        self.body = body_of(spec, voxels)
         self._softer: dict[int, float] = {}
 
     @classmethod
@@ -174,10 +175,11 @@ class SpecimenSource:
             self.body.base_mm,
             region_of(spec.regions[loaded[0]]) if loaded else None,
             weightless=spec.gravity == "not modelled",
-            markers=spec.markers is not None,
+            markers=spec.markers is not None and spec.body.sheet is None,
             clamped=any(is_wall(spec, h.region, self.body.wall_mm) for h in spec.holds),
             known_nu=all(isinstance(m.nu, float) for m in spec.materials.values()),
             can_stiffen=spec.can_stiffen,
+            is_sheet=spec.body.sheet is not None,
         )
 
     @cached_property
@@ -210,15 +212,14 @@ class SpecimenSource:
         self, nodes: int, spacing_mm: float = 0.0, prepared: ReadPrepared | None = None
     ) -> InverseProblem:
         """See `Source.inverse`; markers are where they are, so no spacing counts."""
-        hierarchy = self.body.mesh(nodes)
-        model, observed = prepare(hierarchy), self.observed
-        mesh, softer = hierarchy.finest.mesh, self.part_of_compliance(nodes)
+        model, observed = self.body.model(nodes), self.observed
+        softer = self.part_of_compliance(nodes)
         cells, states = self.load_cells, self.spec.states
-        own = self._compared_rows(interpolation(mesh, observed.points_mm, FARTHEST_MM))
+        own = self._compared_rows(self.body.at_points(model, observed.points_mm))
         points = with_load_cells(components(observed.points_mm, observed.measured), cells)
         problem = InverseProblem(
             model=model,
-            frame=frame_of(mesh.nodes),
+            frame=self.body.frame(model),
             points=points,
             at_points=at_points_with_forces(own, len(cells)),
             free=self.free,
@@ -229,18 +230,20 @@ class SpecimenSource:
             noise=SegmentationNoise(observed.sd_mm, 1.0, 0.0, observed.sd_mm),
             covariance=covariance_with(observed.covariance, self.spec, cells),
             bias=np.zeros(len(states) * len(points)),
-            arms=self._arms(mesh),
+            arms=self._arms(model),
             is_segmented=False,
-            forward=TetrahedraWithCells(cells) if cells else Tetrahedra(),
+            forward=self.body.forward(cells),
         )
         return self._with_boundary_noise(problem)
 
     def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> Model | None:
         """Return another mesh of the same body, to see what the mesh adds.
 
-        None where the mesh is known to be too stiff and made good for.
+        None where the mesh is known to be too stiff and made good for, and of a sheet, whose
+        mesh adds little.
         """
-        return None if self._is_made_good_for else prepare(self.body.mesh(nodes))
+        is_known = self._is_made_good_for or self.spec.body.sheet is not None
+        return None if is_known else self.body.model(nodes)
 
     def problem(
         self, loads: LoadsSpec, softer: float = 1.0
@@ -289,22 +292,26 @@ class SpecimenSource:
         """Add rows of the markers, of what hides and of states to come; the body in its edges."""
         analysis, best = diagnosis.analysis, diagnosis.best
         fit = best.fit if best is not None else analysis.nominal
-        nominal = analysis.nominal.values()
-        problems = [scan.problem(nominal) for scan in analysis.inverse.scans]
-        finest = analysis.inverse.model.finest
-        drawn = edge_arrays(finest.nodes, finest.elements.tets, displacements)
+        model = analysis.inverse.model
+        drawn = edge_arrays(model.finest.nodes, self.body.edges(model), displacements)
         return drawn | {"marker_points": self.observed.points_mm}, replace(
             summary,
             doubts=(
                 *confirmed_scatter(self.observed),
                 *outside_intervals(self.spec, fit.unknowns.constants(fit.z)),
-                *supported(analysis.inverse, problems, self.spec.states, displacements["before"]),
+                *self._supported(
+                    analysis.inverse, analysis.nominal.values(), displacements["before"]
+                ),
             ),
             data_notes=self.observed.notes,
             where=tuple(region_rows(diagnosis)),
             surfaces=COMPONENTS,
             compared="the points that were measured",
-            not_simulated=NOT_SIMULATED + (() if self.spec.can_stiffen else (NO_STIFFENING,)),
+            not_simulated=(
+                *NOT_SIMULATED,
+                *(() if self.spec.can_stiffen else (NO_STIFFENING,)),
+                *(() if self.spec.body.sheet is None else (BENDING,)),
+            ),
             markers=marker_states(self.observed, self.spec, self.load_cells, diagnosis),
             hidden=confounded_effects(diagnosis, self.effects),
             predictions=self.predictions(analysis.inverse, fit),
@@ -328,13 +335,24 @@ class SpecimenSource:
     def _is_made_good_for(self) -> bool:
         return self.spec.body.box_mm is not None and not self.spec.moved_regions
 
-    def _arms(self, mesh: TetMesh) -> csr_matrix | None:
-        """See `InverseProblem.arms`; None where no markers were observed."""
+    def _supported(
+        self, inverse: InverseProblem, nominal: Mapping[str, float], moved_mm: Sequence[FloatArray]
+    ) -> tuple[str, ...]:
+        """See `workers.organs.specimen.force_balance`; a sheet has no numerical supports."""
+        if self.spec.body.sheet is not None:
+            return ()
+        problems = [scan.problem(nominal) for scan in inverse.scans]
+        return supported(inverse, problems, self.spec.states, moved_mm)
+
+    def _arms(self, model: Any) -> csr_matrix | None:
+        """See `InverseProblem.arms`; None where no markers were observed, or on a sheet."""
         markers = self.spec.markers
-        if markers is None:
+        if markers is None or self.spec.body.sheet is not None:
             return None
         stated = [marker.outward for marker in markers.markers.values()]
-        own = self._compared_rows(arms(mesh, self.observed.points_mm, stated, self.observed.names))
+        own = self._compared_rows(
+            self.body.arms(model, self.observed.points_mm, stated, self.observed.names)
+        )
         return at_points_with_forces(own, len(self.load_cells))
 
     def _heaviest(self) -> Problem:

@@ -32,8 +32,39 @@ Axis = Literal["x", "y", "z"]
 MATERIALS = tuple(tissue for tissue in Tissue if tissue is not Tissue.AIR)
 
 
+class SheetSpec(Door):
+    """A thin sheet such as skin or a membrane, flat at z = 0 and free on both faces.
+
+    It resists stretching and not bending, and does not wrinkle. Its material may follow any law;
+    data tell E times the thickness, so an error of the thickness is one of E.
+
+    Parameters
+    ----------
+    size_mm
+        [x, y] of a rectangle with one corner at the origin, in mm.
+    outline_mm
+        Corners [x, y] of the sheet in mm, in order around it.
+    """
+
+    exactly_one: ClassVar[Pairs] = (("size_mm", "outline_mm"),)
+
+    size_mm: tuple[Positive, Positive] | None = None
+    outline_mm: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=3)] | None = None
+    thickness_mm: Positive = Field(description="thickness at rest in mm, the same everywhere")
+
+    @property
+    def corners_mm(self) -> tuple[tuple[float, float], ...]:
+        """Corners of the sheet, in order around it."""
+        if self.outline_mm is not None:
+            return self.outline_mm
+        x, y = self.size_mm or (0.0, 0.0)
+        return (0.0, 0.0), (x, 0.0), (x, y), (0.0, y)
+
+
 class BodySpec(Door):
-    """A block, or a mesh file: the surface (.stl) or the volume (.vtk, .msh, .inp) of a body.
+    """A block, a mesh file or a sheet.
+
+    A mesh file holds the surface (.stl) or the volume (.vtk, .msh, .inp) of a body.
 
     Volume cells are tetrahedra, hexahedra, wedges or pyramids, of which the corners count; a
     surface is closed, and there are no volume cells in its file. A body from a file is filled
@@ -51,9 +82,11 @@ class BodySpec(Door):
         The material of each cell label of a volume.
     label_array
         Name of the cell data that hold the labels.
+    sheet
+        A thin sheet with its thickness.
     """
 
-    exactly_one: ClassVar[Pairs] = (("box_mm", "mesh"),)
+    exactly_one: ClassVar[Pairs] = (("box_mm", "mesh", "sheet"),)
 
     box_mm: Sizes | None = Field(default=None, description="[x, y, z] of a block in mm")
     mesh: str | None = Field(default=None, description="a mesh file: .stl, .vtk or .msh")
@@ -61,13 +94,20 @@ class BodySpec(Door):
     voxel_mm: Positive | None = None
     labels: dict[int, str] | None = None
     label_array: str | None = None
+    sheet: SheetSpec | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what older experiments do not have, or their digests would change."""
+        return _without(handler(self), "sheet")
 
     @model_validator(mode="after")
     def _one_body(self) -> Self:
         if self.mesh is not None and self.voxel_mm is None:
             raise ValueError("a mesh needs voxel_mm, about a tenth of its thinnest part")
-        if self.box_mm is not None and (self.voxel_mm or self.labels or self.label_array):
-            raise ValueError("voxel_mm, labels and label_array are for a mesh, not for box_mm")
+        if self.mesh is None and (self.voxel_mm or self.labels or self.label_array):
+            other = "box_mm" if self.box_mm is not None else "a sheet"
+            raise ValueError(f"voxel_mm, labels and label_array are for a mesh, not for {other}")
         return self
 
 
@@ -91,8 +131,15 @@ class PlaneSpec(Door):
     at_mm: Finite = Field(description="position of the plane along the axis, in mm")
 
 
+class CircleSpec(Door):
+    """All points at least so far from an axis along z, such as the clamped rim of a round sheet."""
+
+    centre: tuple[Finite, Finite] = Field(description="[x, y] of the axis in mm")
+    radius: Positive = Field(description="in mm; a little less than that of the body")
+
+
 class RegionSpec(Door):
-    """A place on the body: a box or a plane.
+    """A place on the body: a box, a plane or all that is outside of a circle.
 
     Parameters
     ----------
@@ -100,12 +147,20 @@ class RegionSpec(Door):
         All points between two corners.
     plane
         All points of a plane normal to an axis.
+    outside_circle_mm
+        All points at least so far from an axis along z.
     """
 
-    exactly_one: ClassVar[Pairs] = (("box_mm", "plane"),)
+    exactly_one: ClassVar[Pairs] = (("box_mm", "plane", "outside_circle_mm"),)
 
     box_mm: BoxSpec | None = None
     plane: PlaneSpec | None = None
+    outside_circle_mm: CircleSpec | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what older experiments do not have, or their digests would change."""
+        return _without(handler(self), "outside_circle_mm")
 
 
 class MaterialSpec(Door):
@@ -139,8 +194,7 @@ class MaterialSpec(Door):
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out what older experiments do not have, or their digests would change."""
-        values: dict[str, Any] = handler(self)
-        return {k: v for k, v in values.items() if k != "constants" or v}
+        return _without(handler(self), "constants")
 
     @property
     def shape(self) -> Vocabulary:
@@ -264,10 +318,18 @@ class LoadsSpec(Door):
         Forces and hung masses.
     moves
         Prescribed displacements.
+    pressure_kpa
+        Pressure under a sheet in kPa, which inflates it towards +z.
     """
 
     forces: tuple[ForceSpec, ...] = ()
     moves: tuple[MoveSpec, ...] = ()
+    pressure_kpa: Finite | None = None
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what older experiments do not have, or their digests would change."""
+        return _without(handler(self), "pressure_kpa")
 
     @property
     def regions(self) -> list[str]:
@@ -339,7 +401,7 @@ class SpecimenSpec(Door):
 
     organ: Literal["specimen"]
     name: Annotated[str, Field(min_length=1)] = Field(description="a name for the report")
-    body: BodySpec = Field(description="the specimen: a block, or a mesh file")
+    body: BodySpec = Field(description="the specimen: a block, a mesh file or a sheet")
     regions: dict[str, RegionSpec] = Field(
         description="places that are held, loaded or moved: a plane or a box"
     )
@@ -381,6 +443,8 @@ class SpecimenSpec(Door):
             raise ValueError("measured: true needs a field; markers show no boundary")
         if any(m.measured for one in self.predict for m in one.moves):
             raise ValueError("a state under predict was not measured: give displacement_mm")
+        if self.body.sheet is None and any(x.pressure_kpa is not None for x in loads):
+            raise ValueError("pressure_kpa inflates a sheet: the body is none, so leave it out")
 
     @property
     def measured_regions(self) -> tuple[str, ...]:
@@ -430,6 +494,11 @@ def read_spec(path: Path) -> SpecimenSpec:
     if not isinstance(data, dict):
         raise InputError(f"{path} is no experiment: expected keys such as organ: specimen.")
     return validated(SpecimenSpec, data, str(path))
+
+
+def _without(values: dict[str, Any], key: str) -> dict[str, Any]:
+    """Return values without a key that is empty."""
+    return {k: v for k, v in values.items() if k != key or v}
 
 
 def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:

@@ -13,7 +13,11 @@ SIZE_MM = (30.0, 20.0, 60.0)
 def test_edges_of_a_block_and_where_they_go() -> None:
     mesh = block(SIZE_MM, 1000).finest.mesh
     moved = mesh.nodes * [0.0, 0.1, -0.2]
-    found = edge_arrays(mesh.nodes, mesh.tets, {"before": [moved], "after": [moved[:-1]]})
+    found = edge_arrays(
+        mesh.nodes,
+        sharp_edges(mesh.nodes, boundary_triangles(mesh.tets)),
+        {"before": [moved], "after": [moved[:-1]]},
+    )
     ends = found["edges_rest"]
     on_sides = (np.isclose(ends, 0) | np.isclose(ends, SIZE_MM)).sum(axis=2)
     assert (on_sides >= 2).all()

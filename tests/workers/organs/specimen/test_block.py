@@ -12,9 +12,9 @@ from palpate.workers.comparison.observation.point_interpolation import interpola
 from palpate.workers.mechanics.fem.elements.model import prepare
 from palpate.workers.mechanics.fem.equilibrium.solve import solve
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import DeadForce, NoPlates, Wall
+from palpate.workers.mechanics.fem.problem.loads import DeadForce, Hold, NoPlates, Wall
 from palpate.workers.mechanics.fem.problem.regions import Box
-from palpate.workers.organs.specimen.block import block, cells_of, lattice
+from palpate.workers.organs.specimen.block import MOST_FACTORED, block, cells_of, lattice
 from palpate.workers.organs.specimen.mesh_error import part_of_compliance
 
 SIZE = (20.0, 16.0, 50.0)
@@ -51,6 +51,32 @@ def test_meets_the_number_of_nodes(nodes):
 def test_refuses_a_mesh_that_cannot_bend():
     with pytest.raises(InputError, match="shortest side needs 4 elements"):
         block((30.0, 30.0, 100.0), 100)
+
+
+def test_plate_of_four_cells_is_not_factored_as_a_whole():
+    """Its long sides are halved alone, and the solution is that of one lattice."""
+    size = (40.0, 40.0, 10.0)
+    hierarchy = block(size, 2300)
+    counts = [len(level.mesh.nodes) for level in hierarchy.levels]
+    assert counts[0] <= MOST_FACTORED < counts[-1]
+    ends = [Box((x, -1, -1), (x + 0.01, 41, 11)) for x in (-0.005, 39.995)]
+    holds = (Hold(ends[0]), Hold(ends[1], (2.0, 0.0, 1.0)))
+    stretched = Problem(
+        {Tissue.FAT: Constants(0.1, 0.45)},
+        NoPlates(),
+        wall=Wall((False, False, False)),
+        holds=holds,
+    )
+    outcome = solve(prepare(hierarchy), stretched).outcome
+    assert outcome.converged
+    assert max(outcome.cg_iterations[1:]) < 40
+    # Far from its ends it narrows as a bar does; E A eps^2 L / 2 is a lower estimate.
+    assert 0.1 * 400 * 0.05**2 * 40 / 2 < outcome.energy_mj < 2 * 0.1 * 400 * 0.05**2 * 40 / 2
+
+
+def test_thin_block_is_told_apart_from_a_sheet():
+    with pytest.raises(InputError, match=r"sheet: \{size_mm: \[100, 80\], thickness_mm: 0.5\}"):
+        block((100.0, 80.0, 0.5), 20000)
 
 
 # A beam of Euler, Bernoulli and Timoshenko: w = F L^3 / 3 E I + F L / (5/6) G A. With

@@ -5,22 +5,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from palpate.storage.values import FloatArray, IntArray
-from palpate.workers.body.mesh.boundary import boundary_triangles
 from palpate.workers.diagnosis.outcome.pictures.drawings import Arrays
 
 SHARP_DEGREES = 40.0
 
 
 def edge_arrays(
-    nodes: FloatArray, tets: IntArray, displacements: Mapping[str, Sequence[FloatArray]]
+    nodes: FloatArray, edges: IntArray, displacements: Mapping[str, Sequence[FloatArray]]
 ) -> Arrays:
-    """Return the sharp edges of a body as pictures need them.
+    """Return the edges of a body as pictures need them.
 
     Parameters
     ----------
     nodes : ndarray, shape (n, 3)
         At rest, in mm.
-    tets : ndarray, shape (m, 4)
+    edges : ndarray, shape (e, 2)
+        See `sharp_edges`.
     displacements : mapping of str to sequence of ndarray, shape (n, 3)
         Of every state, "before" and "after"; those of another mesh are left out.
 
@@ -29,7 +29,6 @@ def edge_arrays(
     dict of str to ndarray
         ``edges_rest`` (e, 2, 3), ``edges_before`` and ``edges_after`` (states, e, 2, 3), in mm.
     """
-    edges = sharp_edges(nodes, boundary_triangles(tets))
     found: Arrays = {"edges_rest": nodes[edges]}
     for when, states in displacements.items():
         if all(np.shape(u) == nodes.shape for u in states):
@@ -42,6 +41,7 @@ def sharp_edges(nodes: FloatArray, triangles: IntArray, degrees: float = SHARP_D
 
     Examples
     --------
+    >>> from palpate.workers.body.mesh.boundary import boundary_triangles
     >>> nodes = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
     >>> faces = boundary_triangles(np.array([[0, 1, 2, 3]], np.int32))
     >>> len(sharp_edges(nodes, faces))

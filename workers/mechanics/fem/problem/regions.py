@@ -39,7 +39,26 @@ class Ball:
         return np.asarray(distance <= self.radius_mm + margin_mm)
 
 
-Region = Box | Ball
+@dataclass(frozen=True, slots=True)
+class OutsideCircle:
+    """Points at least `radius_mm` from an axis along z through `centre_mm`, (x, y)."""
+
+    centre_mm: tuple[float, float]
+    radius_mm: float
+
+    def contains(self, points: FloatArray, margin_mm: float = 0.0) -> BoolArray:
+        """Return which of `points`, shape (k, 3), lie outside of a circle `margin_mm` smaller."""
+        return np.asarray(self._from_axis(points) >= self.radius_mm - margin_mm)
+
+    def away(self, points: FloatArray) -> FloatArray:
+        """Return the distance of points inside the circle from it, shape (k,)."""
+        return np.asarray(self.radius_mm - self._from_axis(points))
+
+    def _from_axis(self, points: FloatArray) -> FloatArray:
+        return np.asarray(np.linalg.norm(points[:, :2] - np.asarray(self.centre_mm), axis=1))
+
+
+Region = Box | Ball | OutsideCircle
 
 EVERYWHERE = Box((-np.inf, -np.inf, -np.inf), (np.inf, np.inf, np.inf))
 
@@ -62,5 +81,7 @@ def _distance(region: Region, nodes: FloatArray) -> FloatArray:
     """Return the distance of `nodes` from a region in which none lies, shape (n,)."""
     if isinstance(region, Ball):
         return np.asarray(np.linalg.norm(nodes - np.asarray(region.centre_mm), axis=1))
+    if isinstance(region, OutsideCircle):
+        return region.away(nodes)
     nearest = np.clip(nodes, region.lower_mm, region.upper_mm)
     return np.asarray(np.linalg.norm(nodes - nearest, axis=1))

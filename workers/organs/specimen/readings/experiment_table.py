@@ -1,16 +1,20 @@
 """What the file of an experiment was understood to say, as rows for a reader."""
 
-from palpate.workers.organs.specimen.spec import LoadsSpec, MaterialSpec, SpecimenSpec, StateSpec
+from palpate.workers.organs.specimen.spec import (
+    BodySpec,
+    LoadsSpec,
+    MaterialSpec,
+    SpecimenSpec,
+    StateSpec,
+)
 
 
 def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:
     """Return a name and a text for all that the diagnosis will rest on."""
-    body = spec.body
-    shape = "block of " + " x ".join(f"{s:g}" for s in body.box_mm) + " mm" if body.box_mm else ""
     markers, field = spec.markers, spec.field
     rows = [
         ("experiment", spec.name),
-        ("body", shape or f"{body.mesh}, {body.mm_per_unit:g} mm per unit"),
+        ("body", _body(spec.body)),
         *((name, _material(one)) for name, one in spec.materials.items()),
         ("held", "; ".join(f"{h.region} along {', '.join(h.axes)}" for h in spec.holds) or "no"),
         ("gravity", spec.gravity),
@@ -24,6 +28,17 @@ def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:
         for s in spec.states
     )
     return [*rows, *states, *((f"to predict: {p.name}", _loads(p)) for p in spec.predict)]
+
+
+def _body(body: BodySpec) -> str:
+    if body.box_mm is not None:
+        return "block of " + " x ".join(f"{s:g}" for s in body.box_mm) + " mm"
+    if body.sheet is None:
+        return f"{body.mesh}, {body.mm_per_unit:g} mm per unit"
+    thick = f", {body.sheet.thickness_mm:g} mm thick"
+    if body.sheet.size_mm is not None:
+        return "sheet of " + " x ".join(f"{s:g}" for s in body.sheet.size_mm) + " mm" + thick
+    return f"sheet with {len(body.sheet.corners_mm)} corners{thick}"
 
 
 def _material(material: MaterialSpec) -> str:
@@ -62,4 +77,6 @@ def _loads(loads: LoadsSpec) -> str:
         else f"{m.region} moved by ({', '.join(f'{c:g}' for c in m.displacement_mm)}) mm"
         for m in loads.moves
     ]
+    if loads.pressure_kpa:
+        texts.append(f"pressure of {loads.pressure_kpa:g} kPa")
     return "; ".join(texts) or "no load of its own"

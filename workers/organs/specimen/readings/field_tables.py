@@ -61,13 +61,17 @@ def read_field(spec: SpecimenSpec, folder: Path) -> FieldTables:
         If a table cannot be read, holds no displacement, or lists other points.
     """
     points: FloatArray | None = None
+    is_sheet = spec.body.sheet is not None
     repeats = []
     for state in spec.states:
         moved = []
         for file in state.files:
             path = folder / file
-            table = read_table(path, POINT, MOVE, UNITS)
+            wanted, optional = (POINT[:2], (POINT[2], *MOVE)) if is_sheet else (POINT, MOVE)
+            table = read_table(path, wanted, optional, UNITS)
             found = _columns(table, POINT)
+            if is_sheet and POINT[2] not in table.columns:
+                found[:, 2] = 0.0
             points = found if points is None else points
             _check_points(path, table, found, points)
             moved.append(_displacements(path, table))

@@ -124,6 +124,7 @@ def _of_markers(spec: SpecimenSpec, markers: MarkersSpec, folder: Path) -> Obser
         column=markers.column,
         names=wanted,
         mm_per_unit=markers.mm_per_unit,
+        z_is_optional=spec.body.sheet is not None,
     )
     repeats, misfits, notes = [], [0.0], []
     for state in spec.states:
@@ -204,7 +205,11 @@ def _displacements(recording: Recording, markers: MarkersSpec) -> FloatArray:
             for name in markers.markers
         ]
     )
-    return moved if markers.frame is None else moved @ rotation_to(*_at_rest(recording, markers)).T
+    if markers.frame is not None:
+        moved = moved @ rotation_to(*_at_rest(recording, markers)).T
+    if recording.is_flat:
+        moved[:, 2] = np.nan
+    return moved
 
 
 def _misfit(recording: Recording, markers: MarkersSpec) -> float:

@@ -1,0 +1,1 @@
+"""Thin sheets in plane stress: 6-node triangles, any law, in their plane or inflated."""

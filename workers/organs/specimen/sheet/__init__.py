@@ -1,0 +1,1 @@
+"""Thin sheets as bodies of an experiment."""

@@ -31,6 +31,8 @@ MAX_HALVINGS = 14
 LONGEST_STEP_MM = 20.0
 # Conjugate gradients: loose first, tighter as the residual falls (Eisenstat-Walker).
 LOOSEST, TIGHTEST = 3e-2, 1e-3
+# How far a step goes along a direction of negative curvature: at first, and at least.
+FIRST_REACH_MM, SHORTEST_REACH_MM = 1.0, 0.05
 # With an exact tangent a step gains half of its slope. One that gains more than the second of
 # these parts is doubled: out of a saddle; less than the first, halved: before fibres go taut.
 ORDINARY_GAIN = 0.3, 0.8
@@ -88,6 +90,7 @@ class _Step:
     longest: float
     cg_iterations: int
     negative: bool
+    curved: FloatArray | None = None
 
 
 def minimise(
@@ -117,6 +120,7 @@ def minimise(
     linear: LinearSolver | None = None
     # `convex`: no descent otherwise, for good; `cautious`: for this step.
     convex = cautious = False
+    reach = FIRST_REACH_MM
     for iteration in range(1, max_iterations + 1):
         late = level.barrier is not None and iteration > USUAL_ITERATIONS
         held = convex or cautious
@@ -137,7 +141,10 @@ def minimise(
         step = _direction(force, plate, tangent, linear, forcing)
         cg_total += step.cg_iterations
         indefinite = False
-        if step.negative and not held:
+        downhill = level.barrier is not None and step.curved is not None
+        if downhill:
+            step = _along_curvature(step, tangent, force, plate, reach)
+        elif step.negative and not held:
             indefinite = True
             # Far from equilibrium the pressure may turn the tangent indefinite: leave it out.
             _, tangent = level.linearise(state, energy, stage, convex=True, positive=late)
@@ -145,7 +152,10 @@ def minimise(
             state = state.with_eigenvector(linear.eigenvector)
             step = _direction(force, plate, tangent, linear, forcing)
             cg_total += step.cg_iterations
-        state, energy, length = _line_search(level, state, energy, stage, step, refine=late)
+        refine = late or downhill
+        state, energy, length = _line_search(level, state, energy, stage, step, refine=refine)
+        if downhill and length > 0:
+            reach = min(LONGEST_STEP_MM, max(SHORTEST_REACH_MM, length * step.longest))
         cautious = (indefinite or cautious) and (step.negative or length < 1) and length > 0
         gap = stage.gap_at(state.travel_mm)
         if gap is not None and gap.upper_mm <= gap.lower_mm:
@@ -155,7 +165,7 @@ def minimise(
                 reason = f"no descent at a residual of {residual:.3g} N"
                 return Result(state, reason, iteration, cg_total, residual, linear)
             convex = True
-        elif length == 1 and step.longest < tolerance_mm:
+        elif length == 1 and step.longest < tolerance_mm and not downhill:
             return Result(state, "", iteration, cg_total, residual, linear)
     reason = f"{max_iterations} Newton iterations left a residual of {residual:.3g} N"
     return Result(state, reason, max_iterations, cg_total, residual, linear)
@@ -198,9 +208,30 @@ def _direction(
     slope = float(np.vdot(force, u)) + plate * travel
     if slope > 0:
         u, travel, slope = -u, -travel, -slope
+    longest = float(np.abs(u).max())
     return _Step(
-        u, travel, slope, float(np.abs(u).max()), correction.iterations, correction.negative
+        u, travel, slope, longest, correction.iterations, correction.negative, correction.curved
     )
+
+
+def _along_curvature(
+    step: _Step, tangent: Tangent, force: FloatArray, plate: float, reach_mm: float
+) -> _Step:
+    """Return a step that goes on along a direction of negative curvature, as far as `reach_mm`.
+
+    T. Steihaug, SIAM J. Numer. Anal. 20 (1983) 626: where the energy is not convex, conjugate
+    gradients end on the border of the region of trust.
+    """
+    p = step.curved
+    if p is None:
+        raise AssertionError("there is a direction of negative curvature")
+    along = float(np.vdot(tangent.coupling, p[tangent.contact_index]))
+    travel = -along / tangent.plate_stiffness if tangent.plate_stiffness else 0.0
+    before = 0.0 if step.u is p else 1.0
+    far = max(0.0, reach_mm - before * step.longest) / float(np.abs(p).max())
+    u, move = before * step.u + far * p, before * step.travel + far * travel
+    slope = float(np.vdot(force, u)) + plate * move
+    return replace(step, u=u, travel=move, slope=slope, longest=float(np.abs(u).max()))
 
 
 def _line_search(

@@ -23,9 +23,10 @@ MAX_ITERATIONS = 60
 # With a barrier against collapse. After the usual ones the length of a step is chosen with more
 # care, and a tangent that is not positive is made so.
 MAX_ITERATIONS_WITH_BARRIER, USUAL_ITERATIONS = 160, 25
-# A body collapses where an element has lost half of its volume, the energy still falls, and the
-# residual has not for so many iterations. Solves that converge need at most three.
-STALLED_ITERATIONS = 6
+# A body collapses where an element has lost half of its volume and the residual has not fallen for
+# so many iterations, none of which took more than this part off the energy: far from equilibrium
+# residuals rise in ordinary solves too.
+STALLED_ITERATIONS, SMALL_FALL = 8, 1e-3
 MAX_HALVINGS = 14
 # Longest step of a node in one iteration; farther, the quadratic model says nothing.
 LONGEST_STEP_MM = 20.0
@@ -67,17 +68,22 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class _LeastResidual:
-    """The state with the smallest residual so far, and how many iterations ago it was left."""
+    """The state with the smallest residual so far, and how many iterations ago it was left.
+
+    It counts from where the potential, now `last_potential`, has last fallen by much.
+    """
 
     residual_n: float
     state: State
     iterations_ago: int
+    last_potential: float
 
-    def followed_by(self, residual_n: float, state: State) -> "_LeastResidual":
-        """Return it after one more iteration, at a state with this residual."""
-        if residual_n < self.residual_n:
-            return _LeastResidual(residual_n, state, 0)
-        return replace(self, iterations_ago=self.iterations_ago + 1)
+    def followed_by(self, residual_n: float, state: State, potential: float) -> "_LeastResidual":
+        """Return it after one more iteration, at a state with this residual and potential."""
+        fell = self.last_potential - potential > SMALL_FALL * abs(potential)
+        if fell or residual_n < self.residual_n:
+            return _LeastResidual(residual_n, state, 0, potential)
+        return replace(self, iterations_ago=self.iterations_ago + 1, last_potential=potential)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +122,7 @@ def minimise(
     state = start
     energy = level.energy(state, stage)
     cg_total, residual, last_residual = 0, np.inf, np.inf
-    least = _LeastResidual(np.inf, start, 0)
+    least = _LeastResidual(np.inf, start, 0, np.inf)
     linear: LinearSolver | None = None
     # `convex`: no descent otherwise, for good; `cautious`: for this step.
     convex = cautious = False
@@ -132,7 +138,7 @@ def minimise(
         if np.isfinite(last_residual):
             forcing = min(LOOSEST, max(TIGHTEST, 0.5 * (residual / last_residual) ** 1.5))
         last_residual = residual
-        least = least.followed_by(residual, state)
+        least = least.followed_by(residual, state, energy.potential)
         if least.iterations_ago >= STALLED_ITERATIONS and _collapses(level, state):
             reason = f"elements collapse at a residual of {residual:.3g} N"
             return Result(least.state, reason, iteration, cg_total, residual, linear, True)

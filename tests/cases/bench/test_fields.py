@@ -179,10 +179,12 @@ def test_supports_that_carry_a_part_of_small_forces_are_named(tmp_path):
     data = described()
     move = {
         "forces": [],
-        "moves": [{"region": "top", "displacement_mm": [0, 0, 6]}],
+        "moves": [{"region": "top", "displacement_mm": [0, 0, 6], "axes": ["z"]}],
         "reactions": [{"region": "top", "axis": "z", "force_n": 0.04, "sd_n": 0.001}],
     }
-    source = read_experiment(experiment(tmp_path, states=[data["states"][0] | move]))
+    holds = [hold for hold in data["holds"] if hold["axes"] != ["x"]]
+    states = [data["states"][0] | move]
+    source = read_experiment(experiment(tmp_path, states=states, holds=holds))
     inverse = source.inverse_problem(NODES)
     problem = source.problem(source.spec.states[0])({"E": YOUNG_MPA})
     nodes = inverse.model.finest.nodes

@@ -14,6 +14,8 @@ from palpate.workers.mechanics.fem.problem.regions import nodes_in
 # Frictionless plates leave the body free to drift; springs this weak
 # (5 mN per mm of drift for a litre) hold it without being felt.
 DRIFT_SPRING_N_PER_MM4 = 5e-9
+# A rigid motion that meets less than this part of the largest resistance meets none.
+LOOSE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +30,7 @@ def spring_stiffness(model: LevelModel, problem: Problem) -> FloatArray:
     """Return the stiffness of the springs that hold each node, shape (n, 3) in N/mm.
 
     Those that a problem states, and weak ones along axes in which nothing else holds the body.
-    Where the chest wall does there are none: they would carry a part of its weight.
+    Where the chest wall or a hold does there are none: they would carry a part of the load.
     """
     wall, load = problem.wall, problem.load
     loose = np.ones(3)
@@ -36,8 +38,28 @@ def spring_stiffness(model: LevelModel, problem: Problem) -> FloatArray:
         loose -= np.abs(load.device.axis) / np.linalg.norm(load.device.axis)
     if len(model.wall):
         loose[np.logical_or(wall.held, np.greater(wall.spring_mpa_per_mm, 0))] = 0.0
+    if problem.holds and loose.any():
+        loose *= _axes_of_rigid_motions(model, problem)
     drift = DRIFT_SPRING_N_PER_MM4 * model.nodal_volumes[:, None] * loose
     return np.asarray(drift + stated_springs(model, problem))
+
+
+def _axes_of_rigid_motions(model: LevelModel, problem: Problem) -> BoolArray:
+    """Return along which axes a body may move as a whole, whatever holds it, shape (3,)."""
+    away = model.nodes - model.nodes.mean(axis=0)
+    away /= np.sqrt((away**2).sum(axis=1).mean())
+    turns = [np.cross(axis, away) for axis in np.eye(3)]
+    moves = [np.broadcast_to(axis, away.shape) for axis in np.eye(3)]
+    modes = np.stack([*moves, *turns], axis=-1)
+    stops = modes[dirichlet_conditions(model, problem).held]
+    if not isinstance(problem.load, NoPlates):
+        axis = np.asarray(problem.load.device.axis) / np.linalg.norm(problem.load.device.axis)
+        across = np.eye(3) - np.outer(axis, axis)
+        plates = np.block([[np.outer(axis, axis), np.zeros((3, 3))], [np.zeros((3, 3)), across]])
+        stops = np.concatenate([stops, plates])
+    stiffness, mode = np.linalg.eigh(stops.T @ stops / len(stops))
+    rigid = modes @ mode[:, stiffness < LOOSE * stiffness[-1]]
+    return np.asarray((np.abs(rigid) > LOOSE).any(axis=(0, 2)))
 
 
 def stated_springs(model: LevelModel, problem: Problem) -> FloatArray:

@@ -131,7 +131,7 @@ class LoadStepping:
             path = self._follow(stages, self._at_rest(histories))
             if not path.reason or self._is_exhausted_with_barrier(path):
                 break
-            if path.collapsed and self.problem.restarts:
+            if path.results[-1].collapses:
                 break
             histories = [s.history for s in path.states]
         if path is None:

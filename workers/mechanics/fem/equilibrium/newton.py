@@ -23,14 +23,17 @@ MAX_ITERATIONS = 60
 # With a barrier against collapse. After the usual ones the length of a step is chosen with more
 # care, and a tangent that is not positive is made so.
 MAX_ITERATIONS_WITH_BARRIER, USUAL_ITERATIONS = 160, 25
-# A body collapses where an element has lost half of its volume, the energy still falls, and the
-# residual has not for so many iterations. Solves that converge need at most three.
-STALLED_ITERATIONS = 6
+# A body collapses where an element has lost half of its volume and the residual has not fallen for
+# so many iterations, none of which took more than this part off the energy: far from equilibrium
+# residuals rise in ordinary solves too.
+STALLED_ITERATIONS, SMALL_FALL = 8, 1e-3
 MAX_HALVINGS = 14
 # Longest step of a node in one iteration; farther, the quadratic model says nothing.
 LONGEST_STEP_MM = 20.0
 # Conjugate gradients: loose first, tighter as the residual falls (Eisenstat-Walker).
 LOOSEST, TIGHTEST = 3e-2, 1e-3
+# How far a step goes along a direction of negative curvature: at first, and at least.
+FIRST_REACH_MM, SHORTEST_REACH_MM = 1.0, 0.05
 # With an exact tangent a step gains half of its slope. One that gains more than the second of
 # these parts is doubled: out of a saddle; less than the first, halved: before fibres go taut.
 ORDINARY_GAIN = 0.3, 0.8
@@ -65,17 +68,22 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class _LeastResidual:
-    """The state with the smallest residual so far, and how many iterations ago it was left."""
+    """The state with the smallest residual so far, and how many iterations ago it was left.
+
+    It counts from where the potential, now `last_potential`, has last fallen by much.
+    """
 
     residual_n: float
     state: State
     iterations_ago: int
+    last_potential: float
 
-    def followed_by(self, residual_n: float, state: State) -> "_LeastResidual":
-        """Return it after one more iteration, at a state with this residual."""
-        if residual_n < self.residual_n:
-            return _LeastResidual(residual_n, state, 0)
-        return replace(self, iterations_ago=self.iterations_ago + 1)
+    def followed_by(self, residual_n: float, state: State, potential: float) -> "_LeastResidual":
+        """Return it after one more iteration, at a state with this residual and potential."""
+        fell = self.last_potential - potential > SMALL_FALL * abs(potential)
+        if fell or residual_n < self.residual_n:
+            return _LeastResidual(residual_n, state, 0, potential)
+        return replace(self, iterations_ago=self.iterations_ago + 1, last_potential=potential)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +96,7 @@ class _Step:
     longest: float
     cg_iterations: int
     negative: bool
+    curved: FloatArray | None = None
 
 
 def minimise(
@@ -113,10 +122,11 @@ def minimise(
     state = start
     energy = level.energy(state, stage)
     cg_total, residual, last_residual = 0, np.inf, np.inf
-    least = _LeastResidual(np.inf, start, 0)
+    least = _LeastResidual(np.inf, start, 0, np.inf)
     linear: LinearSolver | None = None
     # `convex`: no descent otherwise, for good; `cautious`: for this step.
     convex = cautious = False
+    reach = FIRST_REACH_MM
     for iteration in range(1, max_iterations + 1):
         late = level.barrier is not None and iteration > USUAL_ITERATIONS
         held = convex or cautious
@@ -128,7 +138,7 @@ def minimise(
         if np.isfinite(last_residual):
             forcing = min(LOOSEST, max(TIGHTEST, 0.5 * (residual / last_residual) ** 1.5))
         last_residual = residual
-        least = least.followed_by(residual, state)
+        least = least.followed_by(residual, state, energy.potential)
         if least.iterations_ago >= STALLED_ITERATIONS and _collapses(level, state):
             reason = f"elements collapse at a residual of {residual:.3g} N"
             return Result(least.state, reason, iteration, cg_total, residual, linear, True)
@@ -137,7 +147,10 @@ def minimise(
         step = _direction(force, plate, tangent, linear, forcing)
         cg_total += step.cg_iterations
         indefinite = False
-        if step.negative and not held:
+        downhill = level.barrier is not None and step.curved is not None
+        if downhill:
+            step = _along_curvature(step, tangent, force, plate, reach)
+        elif step.negative and not held:
             indefinite = True
             # Far from equilibrium the pressure may turn the tangent indefinite: leave it out.
             _, tangent = level.linearise(state, energy, stage, convex=True, positive=late)
@@ -145,7 +158,10 @@ def minimise(
             state = state.with_eigenvector(linear.eigenvector)
             step = _direction(force, plate, tangent, linear, forcing)
             cg_total += step.cg_iterations
-        state, energy, length = _line_search(level, state, energy, stage, step, refine=late)
+        refine = late or downhill
+        state, energy, length = _line_search(level, state, energy, stage, step, refine=refine)
+        if downhill and length > 0:
+            reach = min(LONGEST_STEP_MM, max(SHORTEST_REACH_MM, length * step.longest))
         cautious = (indefinite or cautious) and (step.negative or length < 1) and length > 0
         gap = stage.gap_at(state.travel_mm)
         if gap is not None and gap.upper_mm <= gap.lower_mm:
@@ -155,7 +171,7 @@ def minimise(
                 reason = f"no descent at a residual of {residual:.3g} N"
                 return Result(state, reason, iteration, cg_total, residual, linear)
             convex = True
-        elif length == 1 and step.longest < tolerance_mm:
+        elif length == 1 and step.longest < tolerance_mm and not downhill:
             return Result(state, "", iteration, cg_total, residual, linear)
     reason = f"{max_iterations} Newton iterations left a residual of {residual:.3g} N"
     return Result(state, reason, max_iterations, cg_total, residual, linear)
@@ -198,9 +214,30 @@ def _direction(
     slope = float(np.vdot(force, u)) + plate * travel
     if slope > 0:
         u, travel, slope = -u, -travel, -slope
+    longest = float(np.abs(u).max())
     return _Step(
-        u, travel, slope, float(np.abs(u).max()), correction.iterations, correction.negative
+        u, travel, slope, longest, correction.iterations, correction.negative, correction.curved
     )
+
+
+def _along_curvature(
+    step: _Step, tangent: Tangent, force: FloatArray, plate: float, reach_mm: float
+) -> _Step:
+    """Return a step that goes on along a direction of negative curvature, as far as `reach_mm`.
+
+    T. Steihaug, SIAM J. Numer. Anal. 20 (1983) 626: where the energy is not convex, conjugate
+    gradients end on the border of the region of trust.
+    """
+    p = step.curved
+    if p is None:
+        raise AssertionError("there is a direction of negative curvature")
+    along = float(np.vdot(tangent.coupling, p[tangent.contact_index]))
+    travel = -along / tangent.plate_stiffness if tangent.plate_stiffness else 0.0
+    before = 0.0 if step.u is p else 1.0
+    far = max(0.0, reach_mm - before * step.longest) / float(np.abs(p).max())
+    u, move = before * step.u + far * p, before * step.travel + far * travel
+    slope = float(np.vdot(force, u)) + plate * move
+    return replace(step, u=u, travel=move, slope=slope, longest=float(np.abs(u).max()))
 
 
 def _line_search(

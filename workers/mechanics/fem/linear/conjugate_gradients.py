@@ -33,12 +33,15 @@ class Correction:
         Relative residual or relative error, whichever the tolerance was for.
     negative : bool
         A direction of negative curvature ended the iteration.
+    curved : ndarray, shape (n, 3), optional
+        That direction, downhill.
     """
 
     u: FloatArray
     iterations: int
     error: float
     negative: bool
+    curved: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +92,9 @@ def solve(
         operator.multiply(p, y)
         curvature = sparse_products.dot(p, y)
         if curvature <= 0 or rz <= 0:
-            return Correction(_displacement(p if iteration == 1 else x), iteration, error, True)
+            curved = _displacement(p)
+            u = curved if iteration == 1 else _displacement(x)
+            return Correction(u, iteration, error, True, curved if rz > 0 else None)
         alpha = rz / curvature
         sparse_products.take_step(alpha, p, y, x, r)
         if not by_error:

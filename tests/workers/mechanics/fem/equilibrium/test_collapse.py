@@ -69,6 +69,26 @@ def test_a_collapse_is_noticed_before_the_iterations_run_out(breast):
     assert "elements collapse" in path.reason
 
 
+def test_residuals_that_rise_far_from_equilibrium_are_no_collapse():
+    """A corner of the demo's bounds: the residual rises for seven iterations, then converges."""
+    case = validated(
+        BreastCase,
+        {
+            "reference": {"phantom": {"spacing_mm": 1.0, "glandular_fraction": 0.2, "seed": 1}},
+            "mesh": {"nodes": 2000},
+            "load": {"force_n": 100.0},
+        },
+    )
+    labels = ORGAN.make_body(case.reference)
+    model = prepare(ORGAN.make_mesh(labels, case))
+    moduli = {"E_fat": 0.005, "eta_fat": 0.05, "E_glandular": 0.08, "eta_glandular": 0.05}
+    problem = ORGAN.problem(model, case, case.complete(moduli), extent_of(labels))
+    found = equilibrium(model, problem)
+    assert found.solution.outcome.converged
+    assert found.solution.outcome.min_j < 0.5
+    assert found.levels[-1].barrier is None
+
+
 def test_a_problem_that_may_not_restart_is_solved_to_its_last_iteration(breast):
     model, problem = breast
     outcome = solve(model, replace(problem, restarts=False)).outcome

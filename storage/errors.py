@@ -11,9 +11,21 @@
 A simulation that does not converge is not an error but a result.
 """
 
+import re
+
+# Longer than any path in use: what is quoted from a damaged file may have thousands of digits.
+_LONGEST_WORD = 1000
+_ENDLESS = re.compile(rf"\S{{{_LONGEST_WORD},}}")
+
 
 class PalpateError(Exception):
-    """An error that the user can fix; the message explains how."""
+    """An error that the user can fix; the message explains how.
+
+    Words of more than 1,000 characters are cut.
+    """
+
+    def __str__(self) -> str:
+        return _ENDLESS.sub(lambda word: f"{word[0][:60]}...", super().__str__())
 
 
 class InputError(PalpateError):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.cluster.slurm import (
+from palpate.service.cluster.batch_jobs import (
     BatchSystem,
     JobRequest,
     check_batch_system,

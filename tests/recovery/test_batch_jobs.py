@@ -15,16 +15,16 @@ import pytest
 import yaml
 
 from palpate.service.cluster import adaptive, slurm
-from palpate.service.cluster.certificates import make_certificates
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
-from palpate.service.cluster.slurm import (
+from palpate.service.cluster.batch_jobs import (
     BatchSystem,
     JobCluster,
     JobRequest,
     check_batch_system,
     open_jobs,
 )
+from palpate.service.cluster.certificates import make_certificates
+from palpate.service.cluster.dispatch import Dispatcher
+from palpate.service.cluster.open import open_cluster
 from palpate.service.cluster.worker_range import WorkerRange
 from palpate.service.errors import ClusterError
 from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, set_manners, told

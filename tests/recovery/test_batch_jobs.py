@@ -14,7 +14,7 @@ import dask
 import pytest
 import yaml
 
-from palpate.service.cluster import adaptive, slurm
+from palpate.service.cluster import adaptive, batch_jobs
 from palpate.service.cluster.batch_jobs import (
     BatchSystem,
     JobCluster,
@@ -119,8 +119,8 @@ def until_up(cluster: JobCluster, workers: int) -> None:
 def test_a_job_that_slurm_ends_is_submitted_again(
     jobs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(slurm, "LOOK_EVERY_S", 0.1)
-    monkeypatch.setattr(slurm, "GONE_S", 0.5)
+    monkeypatch.setattr(batch_jobs, "LOOK_EVERY_S", 0.1)
+    monkeypatch.setattr(batch_jobs, "GONE_S", 0.5)
     with open_jobs(JobRequest("slurm", workers=1, memory="1GB", host="127.0.0.1")) as cluster:
         cluster.submit()
         until_up(cluster, 1)

@@ -63,7 +63,7 @@ def read_workers(text: str, option: str = "--workers ") -> Workers:
     least, most = int(match[1]), int(match[2] or match[1])
     if least < 1:
         raise InputError(
-            f"{option.rstrip(' =')} must be at least 1, got {text}: one worker is always needed."
+            f"{option.rstrip(' =')} must be at least 1, got {text}: one worker is always kept."
         )
     if most < least:
         raise InputError(f"{option}{text}: the least comes first, so {most}-{least}.")

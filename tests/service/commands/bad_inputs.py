@@ -229,7 +229,7 @@ OPTIONS = {
     "a range without workers": BadInput(f"{RUN} --workers 0-4", "one worker is always kept"),
     "a scheduler that is no address": BadInput(f"{RUN} --scheduler foo", "tcp://127.0.0.1:8786"),
     "a scheduler with a web address": BadInput(
-        f"{RUN} --scheduler http://127.0.0.1:8787", "which is no address"
+        f"{RUN} --scheduler http://127.0.0.1:8787", "invalid address"
     ),
     "a scheduler that nobody knows": BadInput(
         f"{RUN} --scheduler tcp://no.such.host.invalid:8786", "is unknown"
@@ -279,7 +279,7 @@ OPTIONS = {
         RUN, "PALPATE_WORKERS=many", environment={"PALPATE_WORKERS": "many"}
     ),
     "a scheduler in the environment": BadInput(
-        RUN, "'foo', which is no address", environment={"PALPATE_SCHEDULER": "foo"}
+        RUN, "'foo': invalid address", environment={"PALPATE_SCHEDULER": "foo"}
     ),
     "a store in the environment": BadInput(
         RUN, "/dev/null/store", environment={"PALPATE_STORE": "/dev/null/store"}

@@ -156,7 +156,11 @@ def test_the_face_for_scripts(service: ServiceProcess, tmp_path: Path) -> None:
         assert [r["candidate"] for r in job.candidates()] == sorted(told(service.home / "face"))
         assert job.id in [one.id for one in connected.jobs()]
         assert connected.job("face").status.priority == 1
-        assert job.download("study.yaml", tmp_path).read_text().startswith("# What this study")
+        assert (
+            job.download("study.yaml", tmp_path)
+            .read_text()
+            .startswith("# The settings of this study")
+        )
         assert connected.cluster().threads == 2
         with pytest.raises(InputError, match="There is no job nix"):
             connected.job("nix")

@@ -21,7 +21,7 @@ SMALL = BreastPhantom(
     ligament_mm=0.0,
     compartments=60,
 )
-FILES = {"diagnosis": ("scans.reference", "scans.loads.0.file")}
+FILES = {"diagnosis": ("scans.reference", "scans.loads.0.volume")}
 FILES["breast-images"] = ("case.reference.volume", "target.volume")
 
 

@@ -22,7 +22,7 @@ HIDDEN = {"breast": ("E_fat_kpa", "eta_fat_kpa", "E_glandular_kpa", "eta_glandul
 HIDDEN["cornea"] = ("mu1_pa", "alpha1", "mu2_pa", "alpha2")
 MISSING = {kind: [f"target.constants.{n}" for n in names] for kind, names in HIDDEN.items()}
 MISSING["breast-images"] = ["case.reference: volume", "case.load: force_n", "target: volume"]
-MISSING["diagnosis"] = ["scans.reference", "scans.loads.0.file", "scans.loads.0: force_n"]
+MISSING["diagnosis"] = ["scans.reference", "scans.loads.0.volume", "scans.loads.0: force_n"]
 MISSING["experiment"] = [
     "body: box_mm",
     *(
@@ -120,7 +120,7 @@ def test_a_finished_template_of_a_diagnosis_states_the_defaults() -> None:
     least = {
         "name": "mine",
         "constants": shown.constants,
-        "scans": {"reference": "rest.nrrd", "loads": [{"file": "pressed.nrrd", "force_n": 60}]},
+        "scans": {"reference": "rest.nrrd", "loads": [{"volume": "pressed.nrrd", "force_n": 60}]},
     }
     bare = CaseFile.model_validate(least)
     for key in ("model", "wall", "noise", "scans"):

@@ -116,21 +116,22 @@ def _case(truth: Truth, name: str) -> dict[str, Any]:
         "name": name,
         "model": {
             "law": "fibre-neo-hookean",
-            "nu": NU,
             "fibres": "tension-only",
             "fibre_invariant": "isochoric",
             "fibre_direction": [0, 0, 1],
         },
         "wall": {
             "z_mm": 0,
-            "kx_kpa_per_mm": WALL_SPRING_KPA_PER_MM,
-            "ky_kpa_per_mm": WALL_SPRING_KPA_PER_MM,
+            "wall_hold_x_kpa_per_mm": WALL_SPRING_KPA_PER_MM,
+            "wall_hold_y_kpa_per_mm": WALL_SPRING_KPA_PER_MM,
         },
         "plates": {"lower_mm": low, "upper_mm": high},
         "constants": {
             "E_fat_kpa": [7, 14],
             "E_glandular_kpa": [20, 50],
-            "eta_kpa": [50, 120],
+            "eta_fat_kpa": [50, 120],
+            "eta_glandular_kpa": "eta_fat_kpa",
+            "nu": NU,
         },
         "noise": {"sd_mm": truth.noise_sd_mm, "correlation_mm": 4},
         "scans": {
@@ -147,7 +148,7 @@ def _case(truth: Truth, name: str) -> dict[str, Any]:
 def _load(truth: Truth, load: Load, file: str) -> dict[str, Any]:
     lower, upper = plate_starts(truth.anatomy, load.axis)
     return {
-        "file": file,
+        "volume": file,
         "force_n": load.force_n,
         "axis": load.axis,
         "lower_mm": lower,

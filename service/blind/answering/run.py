@@ -174,7 +174,7 @@ def along_y(case: Path, copy: Path) -> Path:
     said["scans"] = scans | {"loads": kept}
     with explained(copy):
         copy.mkdir(parents=True, exist_ok=True)
-        for file in [scans["reference"], *(load["file"] for load in kept)]:
+        for file in [scans["reference"], *(load["volume"] for load in kept)]:
             shutil.copy2(case / file, copy / file)
         (copy / CASE_FILE).write_text(yaml.safe_dump(said, sort_keys=False), encoding="utf-8")
     return copy

@@ -6,6 +6,7 @@ from typing import Any
 
 from palpate.storage.errors import InputError
 from palpate.workers.documents import parse_yaml
+from palpate.workers.old_names import with_current_names
 
 NAME = "case.yaml"
 ALONG_Y = ("y", [0, 1, 0])
@@ -21,7 +22,7 @@ def read_case_settings(case: Path) -> dict[str, Any]:
     """
     path = case / NAME
     try:
-        settings: dict[str, Any] = parse_yaml(path.read_text(encoding="utf-8"), str(path))
+        settings = with_current_names(parse_yaml(path.read_text(encoding="utf-8"), str(path)))
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path} cannot be read: {error}.") from error
     return settings

@@ -220,11 +220,11 @@ search:
 """
 DIAGNOSIS = """
 name: pair
-wall: {z_mm: 0, kx_kpa_per_mm: 0.05, ky_kpa_per_mm: 0.05}
+wall: {z_mm: 0, wall_hold_x_kpa_per_mm: 0.05, wall_hold_y_kpa_per_mm: 0.05}
 model: {law: neo-hookean}
 constants: {E_fat_kpa: [5, 20], E_glandular_kpa: [5, 80]}
 noise: {sd_mm: 0.5, correlation_mm: 4}
-scans: {reference: rest.nrrd, loads: [{file: pressed.nrrd, force_n: 60}]}
+scans: {reference: rest.nrrd, loads: [{volume: pressed.nrrd, force_n: 60}]}
 """
 
 

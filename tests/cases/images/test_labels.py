@@ -292,7 +292,7 @@ class TestStudiesAndImports:
 
 class TestCases:
     def images(self, folder: Path, stored: Any = no_store, **how: Any) -> Callable[[str], Volume]:
-        loads = [{"file": "b", "force_n": 1}]
+        loads = [{"volume": "b", "force_n": 1}]
         scans = CaseScans.model_validate({"reference": "a", "loads": loads} | how)
         return CaseImages(folder / "case.yaml", scans, stored).tissues
 

@@ -64,7 +64,7 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
     """Write scans, and the true displacements of the interfaces."""
     loads = list(loads)
     rest = generate_breast(PHANTOM, seed=5).labels
-    for file in (SCANS[0], *(load["file"] for load in loads)):
+    for file in (SCANS[0], *(load["volume"] for load in loads)):
         write_scan(case / file, rest)
     write_settings(case, described(loads) | {"name": case.name})
     imaged = read_case(case)
@@ -79,7 +79,7 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
         problem = CATALOGUE.apply(imaged.problem(number, frame)(TRUE_MPA), effects, frame)
         at = equilibrium(model, problem)
         u = at.solution.displacement_mm
-        write_scan(case / load["file"], _flattened(warp_labels(imaged.reference, mesh, u), at))
+        write_scan(case / load["volume"], _flattened(warp_labels(imaged.reference, mesh, u), at))
         moved = points.points + at_points @ u
         went.append(moved + _out_of_plates(moved, at) - points.points)
     (truth / "truth.json").write_text(json.dumps({"kind": kind, "causes": CAUSES[kind]}))

@@ -171,7 +171,7 @@ def test_diagnosis_can_be_limited_to_scans_along_y(
     name = unanswered(asked)[0]
     folder = along_y(copy.case(name), tmp_path / name)
     shown = read_settings(folder)
-    assert [d["file"] for d in shown["scans"]["loads"]] == ["pressed_20N.nrrd"]
+    assert [d["volume"] for d in shown["scans"]["loads"]] == ["pressed_20N.nrrd"]
     assert not (folder / "pressed_8N_x.nrrd").exists()
     before = file_hash(copy.sealed_answers("all"))
     run(asked)

@@ -50,7 +50,7 @@ def test_diagnosis_opens_no_truth(folders: tuple[Path, Path], opened: dict[str, 
     case, truth = folders
     seen = opened["by_the_diagnosis"]
     scans = read_settings(case)["scans"]
-    named = ["case.yaml", scans["reference"], *(d["file"] for d in scans["loads"])]
+    named = ["case.yaml", scans["reference"], *(d["volume"] for d in scans["loads"])]
     assert {path for path in seen if case in path.parents} == {case / name for name in named}
     assert not [path for path in seen if path == truth or truth in path.parents]
     assert case.parent not in seen  # nor is their common folder listed

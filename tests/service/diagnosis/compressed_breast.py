@@ -33,10 +33,10 @@ PHANTOM = BreastPhantom(
 )
 SCANS = ("rest.nrrd", "pressed_8N.nrrd", "pressed_20N.nrrd")
 PRESSED = tuple(
-    {"file": file, "force_n": force} for file, force in zip(SCANS[1:], FORCES_N, strict=True)
+    {"volume": file, "force_n": force} for file, force in zip(SCANS[1:], FORCES_N, strict=True)
 )
 CROSSWISE = {
-    "file": "pressed_8N_x.nrrd",
+    "volume": "pressed_8N_x.nrrd",
     "force_n": 8.0,
     "axis": "x",
     "lower_mm": -30,
@@ -48,10 +48,10 @@ def described(pressed: Sequence[dict] = PRESSED) -> dict:
     """What case.yaml says."""
     return {
         "name": "small",
-        "model": {"law": "neo-hookean", "nu": 0.49},
-        "wall": {"z_mm": 0.0, "kx_kpa_per_mm": 0.2, "ky_kpa_per_mm": 0.05},
+        "model": {"law": "neo-hookean"},
+        "wall": {"z_mm": 0.0, "wall_hold_x_kpa_per_mm": 0.2, "wall_hold_y_kpa_per_mm": 0.05},
         "plates": {"lower_mm": -28.0, "upper_mm": 28.0},
-        "constants": {"E_fat_kpa": [6, 15], "E_glandular_kpa": [15, 60]},
+        "constants": {"E_fat_kpa": [6, 15], "E_glandular_kpa": [15, 60], "nu": 0.49},
         "noise": {"sd_mm": 0.2, "correlation_mm": 4.0, "in_scans": "loaded"},
         "scans": {
             "reference": SCANS[0],
@@ -81,7 +81,7 @@ def write_case(
     """Scans of a body that lacks nothing but `effects`, parameters of the catalogue."""
     folder.mkdir(parents=True)
     rest = generate_breast(PHANTOM, seed=5).labels
-    for file in (SCANS[0], *(one["file"] for one in pressed)):
+    for file in (SCANS[0], *(one["volume"] for one in pressed)):
         write_scan(folder / file, rest)
     write_settings(folder, described(pressed))
     case = read_case(folder)
@@ -93,7 +93,7 @@ def write_case(
         solution = solve(model, problem)
         assert solution.outcome.converged, solution.outcome.reason
         scan = warp_labels(case.reference, hierarchy.finest.mesh, solution.displacement_mm)
-        write_scan(folder / one["file"], scan)
+        write_scan(folder / one["volume"], scan)
     return folder
 
 

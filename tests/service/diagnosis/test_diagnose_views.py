@@ -47,7 +47,7 @@ def test_plates_at_a_distance_tell_the_ratio_of_stiffness(both_ways: Path, tmp_p
         (tmp_path / "case" / file.name).symlink_to(file)
     case = read_case(both_ways)
     low, high = extent_mm(case.deformed[0], (0.0, 1.0, 0.0))
-    said = described([{"file": PRESSED[1]["file"], "plate_distance_mm": high - low}])
+    said = described([{"volume": PRESSED[1]["volume"], "plate_distance_mm": high - low}])
     said["constants"]["E_fat_kpa"] = 10.0
     write_settings(tmp_path / "case", said)
     case = read_case(tmp_path / "case")
@@ -68,7 +68,7 @@ def test_plates_at_a_distance_tell_the_ratio_of_stiffness(both_ways: Path, tmp_p
 def test_a_load_that_makes_no_sense_is_refused(
     load: dict[str, object], complaint: str, tmp_path: Path
 ) -> None:
-    said = described([{"file": "pressed.nrrd"} | load])
+    said = described([{"volume": "pressed.nrrd"} | load])
     write_settings(tmp_path, said)
     with pytest.raises(InputError, match=complaint):
         read_case(tmp_path)

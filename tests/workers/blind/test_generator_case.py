@@ -155,7 +155,7 @@ def test_case_names_loads_axes_and_plates(folder):
     for entry in entries:
         assert entry["axis"] == "y"
         assert (entry["lower_mm"], entry["upper_mm"]) == (-half, half)
-        labels = read_volume(case / entry["file"])
+        labels = read_volume(case / entry["volume"])
         assert labels.values.dtype == np.uint8
         assert set(np.unique(labels.values)) == {Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR}
         # Air on all sides, so that no interface is cut but at the chest wall.

@@ -259,6 +259,18 @@ class PlateDistanceSpec(Door):
         return self
 
 
+def _final(given: Any) -> Any:
+    """Let a number stand for the final distance."""
+    number = isinstance(given, int | float) and not isinstance(given, bool)
+    return {"final": given} if number else given
+
+
+PlateDistance = Annotated[
+    PlateDistanceSpec,
+    BeforeValidator(_final, json_schema_input_type=Positive | PlateDistanceSpec),
+]
+
+
 class LoadSpec(Door):
     """What presses: a force on the plates, or where they end.
 
@@ -277,8 +289,10 @@ class LoadSpec(Door):
     exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
 
     force_n: Positive | None = Field(default=None, description="the force on the plates, in N")
-    plate_distance_mm: PlateDistanceSpec | None = Field(
-        default=None, description="{final: distance between the plates in mm}"
+    plate_distance_mm: PlateDistance | None = Field(
+        default=None,
+        description="the distance between the plates, in mm; or {initial: 120, final: 65}, or "
+        "their final positions {lower: 10, upper: 75}",
     )
     oblique_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
     moving: Literal["upper", "both"] = "upper"

@@ -21,7 +21,7 @@ def write_meant(folder: Path, pressed: Sequence[dict], springs: bool = True) -> 
     folder.mkdir(parents=True)
     said = described(pressed)
     if not springs:
-        said["wall"] = {"z_mm": 0.0, "kx_kpa_per_mm": 0.0, "ky_kpa_per_mm": 0.0}
+        said["wall"] = {"z_mm": 0.0, "wall_hold_x_kpa_per_mm": 0.0, "wall_hold_y_kpa_per_mm": 0.0}
     write_settings(folder, said)
     write_scan(folder / SCANS[0], at_rest())
     return folder
@@ -35,9 +35,9 @@ def at_rest():
 
 def at_force(force_n: float) -> dict:
     """A scan that is meant, as case.yaml says it."""
-    return {"file": f"not_there_{force_n:g}N.nrrd", "force_n": force_n}
+    return {"volume": f"not_there_{force_n:g}N.nrrd", "force_n": force_n}
 
 
 def at_distance(distance_mm: float) -> dict:
     """The same with plates that are put at a distance."""
-    return {"file": f"not_there_{distance_mm:g}mm.nrrd", "plate_distance_mm": distance_mm}
+    return {"volume": f"not_there_{distance_mm:g}mm.nrrd", "plate_distance_mm": distance_mm}

@@ -18,16 +18,22 @@ from palpate.workers.spec import validated
 CASE: dict[str, Any] = {
     "organ": "breast",
     "name": "mine",
-    "model": {"law": "fibre-neo-hookean", "nu": 0.49, "fibres": "tension-only"},
-    "wall": {"z_mm": 0, "kx_kpa_per_mm": 0.2, "ky_kpa_per_mm": 0.001},
+    "model": {"law": "fibre-neo-hookean", "fibres": "tension-only"},
+    "wall": {"z_mm": 0, "wall_hold_x_kpa_per_mm": 0.2, "wall_hold_y_kpa_per_mm": 0.001},
     "plates": {"lower_mm": -50, "upper_mm": 50},
-    "constants": {"E_fat_kpa": [7, 14], "E_glandular_kpa": [20, 50], "eta_kpa": 80},
+    "constants": {
+        "E_fat_kpa": [7, 14],
+        "E_glandular_kpa": [20, 50],
+        "eta_fat_kpa": 80,
+        "eta_glandular_kpa": "eta_fat_kpa",
+        "nu": 0.49,
+    },
     "noise": {"sd_mm": 0.3, "correlation_mm": 4},
     "scans": {
         "reference": "rest.nrrd",
         "loads": [
-            {"file": "a.nrrd", "force_n": 40},
-            {"file": "b.nrrd", "plate_distance_mm": 60, "axis": "x"},
+            {"volume": "a.nrrd", "force_n": 40},
+            {"volume": "b.nrrd", "plate_distance_mm": 60, "axis": "x"},
         ],
     },
 }
@@ -64,10 +70,12 @@ def test_values_are_held_and_intervals_are_searched() -> None:
         ("gravity", "prone", "unknown key 'gravity'"),
         ("model.fibers", "literal", "did you mean 'fibres'"),
         ("model.law", "odgen", "did you mean 'ogden'"),
-        ("model.nu", 0.5, "less than 0.5"),
+        ("constants.nu", 0.5, "less than 0.5"),
+        ("constants.nu", [0.4, 0.45], "effect compressibility"),
+        ("constants.E_fat_kpa", "eta_fat_kpa", "only eta_glandular_kpa"),
         ("model.fibre_direction", [0, 0, 0], "must not be zero"),
-        ("wall.kx", 0.2, "did you mean 'kx_kpa_per_mm'"),
-        ("wall.kx_kpa_per_mm", -1, "greater than or equal to 0"),
+        ("wall.wall_hold_x", 0.2, "did you mean 'wall_hold_x_kpa_per_mm'"),
+        ("wall.wall_hold_x_kpa_per_mm", -1, "greater than or equal to 0"),
         ("wall.held", True, "no springs"),
         ("plates.upper_mm", -60, "less than upper_mm"),
         ("constants.E_fat", 10, "did you mean 'E_fat_kpa'"),
@@ -75,8 +83,11 @@ def test_values_are_held_and_intervals_are_searched() -> None:
         ("constants.E_fat_kpa", "10 kPa", "10 kPa"),
         ("constants.E_fat_kpa", [0, 7], "above zero"),
         ("constants.E_fat_kpa", True, "above zero"),
-        ("constants.eta_fat_kpa", 80, "eta_kpa for both tissues, or eta_fat_kpa and"),
-        ("constants", {"E_fat_kpa": 1, "E_glandular_kpa": 2, "eta_kpa": 3}, "all are held"),
+        (
+            "constants",
+            {"E_fat_kpa": 1, "E_glandular_kpa": 2, "eta_fat_kpa": 3, "eta_glandular_kpa": 3},
+            "all are held",
+        ),
         ("noise.sd", 1, "did you mean 'sd_mm'"),
         ("noise.in_scans", "reference", "'all' or 'loaded'"),
         ("scans.pose_sd_mm", -0.1, "greater than or equal to 0"),
@@ -89,7 +100,7 @@ def test_values_are_held_and_intervals_are_searched() -> None:
         ("scans.loads.1.axis", [0, 0, 1], "across z"),
         (
             "scans.loads.1",
-            {"file": "b", "plate_distance_mm": 60, "lower_mm": 0, "upper_mm": 9},
+            {"volume": "b", "plate_distance_mm": 60, "lower_mm": 0, "upper_mm": 9},
             "apart",
         ),
     ],
@@ -104,7 +115,7 @@ def test_what_makes_no_sense_is_refused(path: str, value: Any, message: str) -> 
     ("path", "message"),
     [
         ("name", "name: this key is missing"),
-        ("constants.eta_kpa", "no value of eta_kpa"),
+        ("constants.eta_fat_kpa", "no value of eta_fat_kpa"),
         ("noise.sd_mm", "noise.sd_mm: this key is missing"),
         ("scans.reference", "scans.reference: this key is missing"),
         ("scans.loads.0.force_n", "exactly one of force_n and plate_distance_mm, found neither"),
@@ -133,7 +144,7 @@ def test_what_the_scans_show_may_be_left_out(path: str) -> None:
 
 def test_a_law_without_fibres_takes_none_of_their_keys() -> None:
     data = changed("model", {"law": "neo-hookean", "fibres": "literal"})
-    with pytest.raises(InputError, match=r"fibres are for|eta_kpa is for fibres"):
+    with pytest.raises(InputError, match=r"fibres are for|are for fibres"):
         validated(CaseFile, data)
 
 

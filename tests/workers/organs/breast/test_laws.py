@@ -31,7 +31,7 @@ def case_of(law: Any, load: Any = None, **constants: float) -> BreastCase:
 
 
 def scans_of(law: Any, **constants: Any) -> CaseFile:
-    scans = {"reference": "rest.nrrd", "loads": [{"file": "a.nrrd", "force_n": 40}]}
+    scans = {"reference": "rest.nrrd", "loads": [{"volume": "a.nrrd", "force_n": 40}]}
     data = {"name": "mine", "model": {"law": law}, "constants": E | constants, "scans": scans}
     return validated(CaseFile, data, "The file")
 

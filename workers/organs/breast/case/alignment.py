@@ -15,14 +15,14 @@ def aligned_case(case: ScannedCase) -> ScannedCase:
         labels, motion = aligned(case.reference, scan, case_load(case, number))
         loaded.append(in_air(labels))
         words.append(
-            f"{load.file} was aligned with {case.file.scans.reference}: moved by {motion.words}."
+            f"{load.volume} was aligned with {case.file.scans.reference}: moved by {motion.words}."
         )
     return ScannedCase(case.file, case.reference, case.repeat, loaded, case.where, words)
 
 
 def case_load(case: ScannedCase, number: int) -> PlateLoad:
     """Return one load of a case as the checks look at it."""
-    stated, where = case.loads[number], f"scans.loads, {case.loads[number].file}"
+    stated, where = case.loads[number], f"scans.loads, {case.loads[number].volume}"
     axis = unit_axis(stated.axis)
     if stated.force_n is not None:
         return PlateLoad(where, axis, force_n=stated.force_n, starts_mm=_starts(case, stated))
@@ -38,6 +38,6 @@ def _starts(case: ScannedCase, load: CaseLoad) -> tuple[str, float, float] | Non
     if stated_starts_mm(case.file, load) == (None, None):
         return None
     own = load.lower_mm is not None and load.upper_mm is not None
-    where = f"scans.loads, {load.file}" if own else "plates"
+    where = f"scans.loads, {load.volume}" if own else "plates"
     low, high = case.plate_starts_mm(load)
     return where, low, high

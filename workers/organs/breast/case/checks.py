@@ -53,7 +53,7 @@ def facts_of(case: ScannedCase) -> BreastFacts:
     loads = [case_load(case, number) for number in range(len(case.loads))]
     scanned = case.deformed if case.is_scanned else []
     scans = [
-        Scan(load.file, load.force_n, unit_axis(load.axis), case.above_wall(labels), labels)
+        Scan(load.volume, load.force_n, unit_axis(load.axis), case.above_wall(labels), labels)
         for load, labels in zip(case.loads, scanned, strict=False)
     ]
     young = [KPA.to_inside(value) for value in _values(case.file, "E_fat_kpa")]
@@ -61,7 +61,7 @@ def facts_of(case: ScannedCase) -> BreastFacts:
         rest=Scan(case.file.scans.reference, 0.0, ALONG_Y, case.reference),
         pressed=list(zip(scans, loads, strict=False)),
         loads=loads,
-        least_nu=case.file.model.nu,
+        least_nu=case.file.nu,
         E_mpa=(min(young), max(young)),
         align_key="scans.align",
         aligned=case.file.scans.align is not None,
@@ -72,6 +72,8 @@ def facts_of(case: ScannedCase) -> BreastFacts:
 
 def _values(file: CaseFile, name: str) -> tuple[float, ...]:
     value = file.constants[name]
+    if isinstance(value, str):
+        return ()
     return value if isinstance(value, tuple) else (value,)
 
 

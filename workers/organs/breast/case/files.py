@@ -21,6 +21,7 @@ from palpate.workers.body.images.labels import crop_to_body
 from palpate.workers.body.images.largest_component import in_air, one_body
 from palpate.workers.documents import parse_json, parse_yaml
 from palpate.workers.input_files import read_text
+from palpate.workers.old_names import with_current_names
 from palpate.workers.organs.breast.case.alignment import aligned_case
 from palpate.workers.organs.breast.case.images import CaseImages, StoredVolume, no_store
 from palpate.workers.organs.breast.case.scanned_case import ScannedCase, above_wall
@@ -61,7 +62,7 @@ def read_case(path: Path, *, loaded: bool = True, stored: StoredVolume = no_stor
         file,
         _scan(file, tissues(scans.reference)),
         _scan(file, tissues(scans.reference_repeat)) if scans.reference_repeat else None,
-        [_one_body(tissues(load.file)) for load in scans.loads] if loaded else [],
+        [_one_body(tissues(load.volume)) for load in scans.loads] if loaded else [],
         str(path),
     )
     return aligned_case(case) if loaded and scans.align is not None else case
@@ -101,7 +102,7 @@ def read_case_file(path: Path) -> CaseFile:
             "longer read. Write the same settings as keys with units in case.yaml: `palpate new "
             "diagnosis NAME` writes one to fill in, and docs/reference/keys.md lists all keys."
         )
-    return validated(CaseFile, data, str(path))
+    return validated(CaseFile, with_current_names(data, str(path)), str(path))
 
 
 def _data(path: Path) -> Mapping[str, Any]:

@@ -114,7 +114,7 @@ class ScannedCase:
 
     def problem(self, number: int, frame: Frame) -> Callable[[Values], Problem]:
         """Return the nominal model of one loaded scan, from the values of the free constants."""
-        model = self.file.model
+        model, nu = self.file.model, self.file.nu
         has_fibres = self.file.has_fibres
         load = self._load(number, frame)
         wall = _wall(self.file.wall)
@@ -123,8 +123,8 @@ class ScannedCase:
 
         def build(values: Values) -> Problem:
             known = held | dict(values)
-            fat = _constants(known, "E_fat", "eta_fat", model.nu)
-            gland = _constants(known, "E_gl", "eta_glandular", model.nu)
+            fat = _constants(known, "E_fat", "eta_fat", nu)
+            gland = _constants(known, "E_gl", "eta_glandular", nu)
             return Problem(
                 {
                     Tissue.FAT: laws.applied("fat", fat, known),
@@ -202,5 +202,5 @@ def _constants(values: Values, young: str, fibre: str, poisson: float) -> Consta
 def _wall(stated: CaseWall) -> Wall:
     if stated.held:
         return Wall((True, True, True))
-    springs = KPA_PER_MM.to_inside(stated.kx_kpa_per_mm), KPA_PER_MM.to_inside(stated.ky_kpa_per_mm)
-    return Wall((False, False, True), (*springs, 0.0))
+    x, y = map(KPA_PER_MM.to_inside, (stated.wall_hold_x_kpa_per_mm, stated.wall_hold_y_kpa_per_mm))
+    return Wall((False, False, True), (x, y, 0.0))

@@ -190,7 +190,7 @@ def _content(kind: str, case: ScannedCase) -> SourceContent:
         volumes[REPEAT] = case.repeat
     if case.is_scanned:
         volumes |= {f"{LOADED}{number}": scan for number, scan in enumerate(case.deformed)}
-    return SourceContent(kind, case.file.model_dump(mode="json"), volumes, {})
+    return SourceContent(kind, case.file.record, volumes, {})
 
 
 def _case_from(content: SourceContent) -> ScannedCase:

@@ -21,6 +21,7 @@ from pydantic import (
 from palpate.storage.values import Triple
 from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.missing_keys import Pairs, missing
+from palpate.workers.old_names import SAME_FIBRES, with_current_names, with_recorded_names
 from palpate.workers.organs.breast import default_physics as physics
 from palpate.workers.organs.breast.laws import TissueLaws, for_all_tissues, shape_constants
 from palpate.workers.organs.breast.spec import Axes, Labels, SpacingMm
@@ -34,18 +35,22 @@ AXES = {"x": ALONG_X, "y": ALONG_Y}
 CONSTANTS = {
     "E_fat_kpa": "E_fat",
     "E_glandular_kpa": "E_gl",
-    "eta_kpa": "eta",
     "eta_fat_kpa": "eta_fat",
     "eta_glandular_kpa": "eta_glandular",
 }
-# Stiffness of the fibres: one value for both tissues, or one for each.
-ONE_FIBRE, FIBRE_OF_EACH = {"eta_kpa"}, {"eta_fat_kpa", "eta_glandular_kpa"}
+FIBRES = {"eta_fat_kpa", "eta_glandular_kpa"}
+# The stiffness of the fibres inside the model where it is one value for both tissues.
+ONE_FIBRE = "eta"
+NU = "nu"
+NU_BELOW = 0.5
 # By how much the given places of the plates may differ from the given distance.
 DISTANCE_SLACK_MM = 0.5
 
 
 def _constant(given: Any) -> Any:
-    """Return a value as a float, an interval as two."""
+    """Return a value as a float, an interval as two; what stands for another constant as it is."""
+    if given in SAME_FIBRES.values():
+        return given
     many = given if isinstance(given, list | tuple) else [given]
     numbers = [v for v in many if isinstance(v, int | float) and not isinstance(v, bool)]
     if len(numbers) != len(many) or not all(math.isfinite(v) and v > 0 for v in numbers):
@@ -75,7 +80,9 @@ def _law(given: Any) -> Any:
 
 
 CASE_TISSUES = ("air", "fat", "glandular")
-Constant = Annotated[float | tuple[float, float], BeforeValidator(_constant)]
+Constant = Annotated[
+    float | tuple[float, float] | Literal["eta_fat_kpa"], BeforeValidator(_constant)
+]
 Axis = Annotated[
     tuple[Finite, Finite, Finite],
     BeforeValidator(
@@ -93,8 +100,6 @@ class CaseModel(Door):
         A neo-Hookean solid, or one with fibres of stiffness eta. Another law, such as yeoh or
         {fat: yeoh, glandular: fung}, has fibres if constants give their stiffness, and shape
         constants, such as yeoh_c2_fat; `palpate parameters --law yeoh` lists them.
-    nu : float
-        Poisson's ratio.
     fibres, fibre_invariant : str
         As in a study: whether fibres resist compression too, and whether their stretch is
         I4 or its isochoric part.
@@ -107,7 +112,6 @@ class CaseModel(Door):
         Discriminator(lambda law: "name" if isinstance(law, str) else "tissues"),
         BeforeValidator(_law, json_schema_input_type=str | TissueLaws),
     ] = physics.LAW
-    nu: Annotated[float, Field(gt=0, lt=0.5)] = physics.NU
     fibres: physics.Fibres = physics.FIBRES
     fibre_invariant: physics.FibreInvariant = physics.FIBRE_INVARIANT
     fibre_direction: tuple[Finite, Finite, Finite] = physics.FIBRE_DIRECTION
@@ -144,21 +148,21 @@ class CaseWall(Door):
         Position of the wall along z, in mm. Default: where the body begins in the scan at rest.
     held
         Whether the body is held along the wall.
-    kx_kpa_per_mm
+    wall_hold_x_kpa_per_mm
         Stiffness of springs along x, in kPa per mm.
-    ky_kpa_per_mm
+    wall_hold_y_kpa_per_mm
         Stiffness of springs along y, in kPa per mm.
     """
 
     z_mm: Finite | None = None
     held: bool = physics.WALL_HELD
-    kx_kpa_per_mm: NotNegative = physics.WALL_SPRING_KPA_PER_MM
-    ky_kpa_per_mm: NotNegative = physics.WALL_SPRING_KPA_PER_MM
+    wall_hold_x_kpa_per_mm: NotNegative = physics.WALL_SPRING_KPA_PER_MM
+    wall_hold_y_kpa_per_mm: NotNegative = physics.WALL_SPRING_KPA_PER_MM
 
     @model_validator(mode="after")
     def _held_or_sprung(self) -> Self:
-        if self.held and (self.kx_kpa_per_mm or self.ky_kpa_per_mm):
-            raise ValueError("a wall that is held has no springs: give held or kx and ky")
+        if self.held and (self.wall_hold_x_kpa_per_mm or self.wall_hold_y_kpa_per_mm):
+            raise ValueError("a wall that is held has no springs: give held or wall_hold_...")
         return self
 
 
@@ -223,7 +227,7 @@ class CaseLoad(Door):
 
     exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
 
-    file: str = Field(description="the labels of the body under this load")
+    volume: str = Field(description="the labels of the body under this load")
     force_n: Positive | None = Field(default=None, description="the force on the plates, in N")
     plate_distance_mm: Positive | None = Field(
         default=None, description="the distance between the plates, in mm"
@@ -299,7 +303,7 @@ class CaseScans(Door):
     axes: Axes | None = None
     spacing_mm: SpacingMm | None = None
     loads: Annotated[tuple[CaseLoad, ...], Field(min_length=1)] = Field(
-        description="one entry for each loaded scan, with its file and its force or distance"
+        description="one entry for each loaded scan, with its volume and its force or distance"
     )
 
     @field_validator("labels")
@@ -337,7 +341,8 @@ class CaseFile(Door):
     wall: CaseWall = CaseWall()
     plates: CasePlates | None = None
     constants: dict[str, Constant] = Field(
-        description="a value that is held, such as 10, or an interval to search, such as [5, 20]"
+        description="a value that is held, such as 10, or an interval to search, such as [5, 20]; "
+        "eta_glandular_kpa: eta_fat_kpa gives all fibres one stiffness; nu can only be held"
     )
     noise: CaseNoise | None = None
     scans: CaseScans = Field(description="the scan at rest and the scans under load")
@@ -345,10 +350,13 @@ class CaseFile(Door):
     @model_validator(mode="before")
     @classmethod
     def _known_constants(cls, data: Any) -> Any:
-        constants = data.get("constants") if isinstance(data, Mapping) else None
+        if not isinstance(data, Mapping):
+            return data
+        data = with_current_names(data)
+        constants = data.get("constants")
         if isinstance(constants, Mapping):
             names = [str(name) for name in constants]
-            known = [*CONSTANTS, *shape_constants(names).door_names]
+            known = [*CONSTANTS, NU, *shape_constants(names).door_names]
             wrong = [unknown_name("key", name, known) for name in names if name not in known]
             if wrong:
                 raise ValueError(f"constants: {'; '.join(wrong)}")
@@ -364,8 +372,15 @@ class CaseFile(Door):
         return self
 
     def _check_constants(self) -> None:
-        given, fibres = set(self.constants), set(self.constants) & (ONE_FIBRE | FIBRE_OF_EACH)
-        for name in self.constants:
+        given, fibres = set(self.constants), set(self.constants) & FIBRES
+        for name, value in self.constants.items():
+            if name == NU and not (isinstance(value, float) and value < NU_BELOW):
+                raise ValueError(
+                    f"constants: {NU} is held at a value less than {NU_BELOW:g}, found {value!r}; "
+                    "a diagnosis varies it by the effect compressibility"
+                )
+            if isinstance(value, str) and SAME_FIBRES.get(name) != value:
+                raise ValueError(f"constants: only eta_glandular_kpa can be {value}, found {name}")
             if reason := self.model.laws.reason_against(name):
                 raise ValueError(f"constants: {name} is not used: {reason}")
         if self.model.law == "neo-hookean" and fibres:
@@ -373,13 +388,9 @@ class CaseFile(Door):
                 f"constants: {', '.join(sorted(fibres))} {'is' if len(fibres) == 1 else 'are'} "
                 "for fibres, but model.law is neo-hookean"
             )
-        if fibres >= ONE_FIBRE and fibres != ONE_FIBRE:
-            raise ValueError(
-                "constants: give eta_kpa for both tissues, or eta_fat_kpa and eta_glandular_kpa"
-            )
         wanted = {"E_fat_kpa", "E_glandular_kpa"}
         if self.model.law == "fibre-neo-hookean" or fibres:
-            wanted |= FIBRE_OF_EACH if fibres & FIBRE_OF_EACH else ONE_FIBRE
+            wanted |= FIBRES
         if lacking := sorted(wanted - given):
             raise missing(
                 f"constants: no value of {', '.join(lacking)}: hold it, as in "
@@ -387,14 +398,30 @@ class CaseFile(Door):
             )
 
     @property
+    def nu(self) -> float:
+        """Poisson's ratio of all tissues."""
+        nu = self.constants.get(NU, physics.NU)
+        return nu if isinstance(nu, float) else physics.NU
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Return plain values by the names that records in stores have."""
+        values = self.model_dump(mode="json")
+        values["constants"].setdefault(NU, self.nu)
+        return with_recorded_names(values)
+
+    @property
     def has_fibres(self) -> bool:
         """Whether the constants give the stiffness of fibres."""
-        return not self.constants.keys().isdisjoint(ONE_FIBRE | FIBRE_OF_EACH)
+        return not self.constants.keys().isdisjoint(FIBRES)
 
     @property
     def names(self) -> dict[str, tuple[str, Unit]]:
         """The names inside and the units of all constants that the model has, by their keys."""
         stiffnesses = {key: (name, KPA) for key, name in CONSTANTS.items()}
+        if self.constants.items() >= SAME_FIBRES.items():
+            stiffnesses |= {"eta_fat_kpa": (ONE_FIBRE, KPA)}
+            del stiffnesses["eta_glandular_kpa"]
         shape = {p.door_name: (p.name, p.unit) for p in self.model.laws.constants}
         return stiffnesses | shape
 

@@ -1,11 +1,12 @@
 """What a case was understood to say, as rows for a reader."""
 
+from palpate.workers.old_names import SAME_FIBRES
 from palpate.workers.organs.breast.case.images import labels_in_words
 from palpate.workers.organs.breast.case.scanned_case import stated_starts_mm
 from palpate.workers.organs.breast.case.spec import CaseFile, CaseLoad
 from palpate.workers.organs.breast.physics_words import law_text, wall_text
 from palpate.workers.organs.breast.study_noise import DRAWN_LENGTH_MM, DRAWN_VOXELS
-from palpate.workers.units import Unit
+from palpate.workers.units import KPA, Unit
 
 Rows = list[tuple[str, str]]
 
@@ -17,22 +18,22 @@ def understood(file: CaseFile) -> Rows:
     --------
     >>> case = CaseFile.model_validate({
     ...     "name": "mine", "wall": {"z_mm": 0}, "plates": {"lower_mm": -50, "upper_mm": 50},
-    ...     "constants": {"E_fat_kpa": 10, "E_glandular_kpa": [20, 50], "eta_kpa": 80},
+    ...     "constants": {"E_fat_kpa": 10, "E_glandular_kpa": [20, 50], "eta_fat_kpa": 80,
+    ...                   "eta_glandular_kpa": "eta_fat_kpa"},
     ...     "noise": {"sd_mm": 0.3, "correlation_mm": 4},
-    ...     "scans": {"reference": "rest.nrrd", "loads": [{"file": "a.nrrd", "force_n": 40}]}})
+    ...     "scans": {"reference": "rest.nrrd", "loads": [{"volume": "a.nrrd", "force_n": 40}]}})
     >>> dict(understood(case))["E_glandular"]
     'searched from 20 to 50 kPa'
     """
     return [
         ("case", file.name),
         ("law", _law(file)),
-        ("Poisson's ratio", f"{file.model.nu:g}"),
+        ("Poisson's ratio", f"{file.nu:g}"),
         ("chest wall", _wall(file)),
         ("plates", "rigid, flat, without friction"),
         *(
             (key.removesuffix("_kpa"), _constant(file, key, unit))
-            for key, (_, unit) in file.names.items()
-            if key in file.constants
+            for key, unit in _units(file).items()
         ),
         ("gravity, skin", "not in the model"),
         ("segmentation noise", _noise(file)),
@@ -52,11 +53,21 @@ def _law(file: CaseFile) -> str:
 def _wall(file: CaseFile) -> str:
     wall = file.wall
     place = "where the body at rest begins" if wall.z_mm is None else f"z = {wall.z_mm:g} mm"
-    return f"{place}, {wall_text(wall.held, wall.kx_kpa_per_mm, wall.ky_kpa_per_mm)}"
+    return (
+        f"{place}, {wall_text(wall.held, wall.wall_hold_x_kpa_per_mm, wall.wall_hold_y_kpa_per_mm)}"
+    )
+
+
+def _units(file: CaseFile) -> dict[str, Unit]:
+    """Return the units of the constants that a file gives, by key."""
+    units = {key: unit for key, (_, unit) in file.names.items()} | dict.fromkeys(SAME_FIBRES, KPA)
+    return {key: unit for key, unit in units.items() if key in file.constants}
 
 
 def _constant(file: CaseFile, key: str, unit: Unit) -> str:
     value = file.constants[key]
+    if isinstance(value, str):
+        return f"that of {value.removesuffix('_kpa')}"
     if isinstance(value, tuple):
         return f"searched from {value[0]:g} to {value[1]:g} {unit.symbol}".rstrip()
     return f"held at {value:g} {unit.symbol}".rstrip()
@@ -75,7 +86,7 @@ def _noise(file: CaseFile) -> str:
 
 
 def _load(file: CaseFile, load: CaseLoad) -> str:
-    text = f"{load.file}: {load.name}"
+    text = f"{load.volume}: {load.name}"
     starts = load.force_n is not None
     placed = stated_starts_mm(file, load) if starts else (load.lower_mm, load.upper_mm)
     if placed == (None, None):

@@ -136,10 +136,10 @@ def panels(
     points: FloatArray, views: Sequence[tuple[int, int]], width: float, top: float
 ) -> Iterator[Panel]:
     """Yield where views of one scale lie: beside each other, or one below the other."""
-    beside = width > NARROW
+    beside = width > NARROW and len(views) > 1
     frames = [_frame(points, view) for view in views]
     room = (width - APART_PX) / 2 - LEFT_PX if beside else width - LEFT_PX - RIGHT_PX
-    per_mm = min(*(min(room / (f[1] - f[0]), HIGHEST_PX / (f[3] - f[2])) for f in frames))
+    per_mm = min(min(room / (f[1] - f[0]), HIGHEST_PX / (f[3] - f[2])) for f in frames)
     x, y = LEFT_PX, top + ABOVE_PX
     for frame in frames:
         yield Panel(frame, x, y, per_mm)

@@ -121,7 +121,7 @@ def _at_rest(one: Movement) -> FloatArray:
 
 
 def _state(one: Movement, times: float, accused: str, width: float) -> Svg:
-    """Draw one state, seen along each of the two shortest sides of the body."""
+    """Draw one state, seen along each of the two shortest sides of the body; a sheet once."""
     drawn = {name: one.rest + times * u for name, u in one.moved.items()}
     edges = {w: one.edges_rest + times * (e - one.edges_rest) for w, e in one.edges.items()}
     everything = np.concatenate(
@@ -129,7 +129,8 @@ def _state(one: Movement, times: float, accused: str, width: float) -> Svg:
     )
     rest = _at_rest(one)
     longest, middle, shortest = np.argsort(-np.ptp(rest, axis=0), kind="stable").tolist()
-    views = ((longest, middle), (longest, shortest))
+    is_flat = not np.ptp(everything[:, shortest]) > 0
+    views = ((longest, middle), *(() if is_flat else ((longest, shortest),)))
     svg = Svg(width, 0.0)
     marks: list[tuple[Mark, str, str]] = [
         ("line", "at-rest", "at rest"),

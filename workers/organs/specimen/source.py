@@ -293,7 +293,12 @@ class SpecimenSource:
         analysis, best = diagnosis.analysis, diagnosis.best
         fit = best.fit if best is not None else analysis.nominal
         model = analysis.inverse.model
-        drawn = edge_arrays(model.finest.nodes, self.body.edges(model), displacements)
+        # Load cells are nodes beyond those of the mesh.
+        own = {
+            when: [u[: len(model.finest.nodes)] for u in moved]
+            for when, moved in displacements.items()
+        }
+        drawn = edge_arrays(model.finest.nodes, self.body.edges(model), own)
         return drawn | {"marker_points": self.observed.points_mm}, replace(
             summary,
             doubts=(

@@ -57,6 +57,14 @@ def test_a_picture_shows_points_edges_and_says_how_much_is_enlarged() -> None:
     assert "measured_z_mm" in str(shown.table)
 
 
+def test_flat_body_is_drawn_once() -> None:
+    flat = {name: places * [1, 1, 0] for name, places in maps(1).items()}
+    seen = MarkerResidual("M", (0.3, 0.0, NAN), (0.1, 0.0, NAN), (0.0, 0.0, NAN))
+    (shown,) = specimen_pictures(flat, summary(MarkerState("a", None, (seen,) * 3)), "creep")
+    wide = str(shown.svg).split("<svg")[1]
+    assert len(re.findall(r'class="(?:at-rest|left-before) edge"', wide)) == 2
+
+
 def test_without_places_there_is_no_picture() -> None:
     assert list(specimen_pictures({}, summary(state("a", 1.0, 0.0)), "")) == []
     assert movements({"marker_points": PLACES[:1]}, summary(state("a", 1.0, 0.0))) == []

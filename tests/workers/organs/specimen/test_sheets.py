@@ -98,6 +98,7 @@ def test_diagnosis_finds_the_stiffness_and_predicts_the_force(tmp_path):
     ((force,),) = (one.reactions for one in summary.predictions)
     assert force.force_n == pytest.approx(force_n(1.4), rel=0.02)
     assert all(np.isnan(p.displacement_mm[2]) for p in summary.markers[0].points)
+    assert drawn["edges_before"].shape[1:] == drawn["edges_rest"].shape
     assert drawn["edges_rest"].shape[1:] == (2, 3)
     assert any("bending" in name for name, _ in summary.not_simulated)
     assert "uz_mm was not measured and is not compared." in summary.data_notes

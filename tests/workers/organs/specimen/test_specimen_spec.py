@@ -37,7 +37,7 @@ def changed(path, value):
     [
         ("holds", [{"region": "clmap"}], "clamp"),
         ("states.1.forces", [{"region": "tip"}], "exactly one of force_n and mass_g"),
-        ("body", {"box_mm": [1, 2, 3], "mesh": "a.stl"}, "exactly one of box_mm and mesh"),
+        ("body", {"box_mm": [1, 2, 3], "mesh": "a.stl"}, "exactly one of box_mm, mesh and sheet"),
         ("body", {"mesh": "a.stl"}, "voxel_mm"),
         ("materials.rubber.E_kpa", [400, 40], "lower < upper"),
         ("materials.rubber.nu", 0.5, "less than 0.5"),
@@ -46,7 +46,7 @@ def changed(path, value):
         ("down", [0, 0, 0], "down must not be zero"),
         ("gravty", "modelled", "gravity"),
         ("states.1.name", "bare", "each name once"),
-        ("regions.tip", {}, "exactly one of box_mm and plane"),
+        ("regions.tip", {}, "one of box_mm, plane and outside_circle_mm"),
     ],
 )
 def test_refuses_what_makes_no_sense(tmp_path, path, value, words):

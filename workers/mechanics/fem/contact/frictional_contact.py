@@ -8,10 +8,9 @@ against its plate dissipates
 Coulomb's law but for slips of the order of epsilon, over which friction builds up
 (a regularised pseudo-potential). Slip is counted from an origin: where the node was
 when it began to slip, dragged along behind it from step to step, so that a node that
-sticks does not creep. lambda is the force of the present state: it is held during a
-minimisation and updated after it until it no longer changes, so every step ends in
-implicit Coulomb equilibrium. Its derivative enters the tangent of
-`workers.mechanics.fem.equilibrium.sensitivity`.
+sticks does not creep. lambda is the force of the present state: every step ends in
+implicit Coulomb equilibrium. Its derivative is in
+`workers.mechanics.fem.equilibrium.coupled_tangent`.
 """
 
 from dataclasses import dataclass, replace

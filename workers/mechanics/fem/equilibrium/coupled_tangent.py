@@ -45,6 +45,11 @@ class CoupledTangent:
             (f, contact, f.coefficient * f.direction(state.x, state.travel_mm))
             for f, contact in zip(state.history.friction, energy.plate_contacts, strict=False)
         ]
+        self._pressed = [
+            (f.nodes.index[at], contact.at_nodes.gradient[at], direction[at])
+            for f, contact, direction in self._rough
+            for at in [np.flatnonzero(contact.gap < 0)]
+        ]
         self._by_travel, on_plate = self._without_energy(np.zeros_like(state.x), 1.0)
         self._plate_stiffness = tangent.plate_stiffness + on_plate
         self._moves = tangent.plate_stiffness > 0
@@ -90,10 +95,8 @@ class CoupledTangent:
     def _precondition(self, r: FloatArray) -> FloatArray:
         """Return the displacement under a force, both (n, 4), about."""
         r = r.copy()
-        for friction, contact, direction in self._rough:
-            index = friction.nodes.index
-            normal = (contact.at_nodes.gradient * r[index, :3]).sum(axis=1) * (contact.gap < 0)
-            r[index, :3] += normal[:, None] * direction
+        for index, normal, direction in self._pressed:
+            r[index, :3] += (normal * r[index, :3]).sum(axis=1, keepdims=True) * direction
         r[:, :3] *= self._level.free
         z = self._linear.approximate(r)
         z[:, 3] = 0

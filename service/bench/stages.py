@@ -27,6 +27,7 @@ from palpate.storage.stores.store import open_store
 from palpate.workers.mechanics.fem.elements.model import prepare
 from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
 from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium
+from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.fem.problem.fields import frame_of
 from palpate.workers.organs.registry import catalogue_of, organ_named, organ_spec
 from palpate.workers.spec import validated
@@ -37,6 +38,8 @@ STAGES = ("phantom", "mesh", "prepare", "solve", "tangent", "tangents", "warp", 
 REPEATED = {"solve": 3, "tangent": 3, "tangents": 3}
 # Ten parameters with all kinds of forces: loads, plates, stiffness, fibres.
 TEN_OF = ("gravity_change", "plate_force", "plate_tilt", "stiffness_gradient", "fibre_rotation")
+# One tangent is that of a constant; by loads, a body that nothing holds moves as if rigid.
+STEP_MPA = 1e-5
 TINY_SPACING_MM, TINY_NODES = 2.0, 1000
 # A target and a candidate near the optimum, where a search spends most of its time.
 TRUE_MPA = {"E_fat": 0.010, "E_glandular": 0.040}
@@ -247,20 +250,27 @@ class Bench:
         self._hierarchy()
         return self._simulation(TRUE_MPA)
 
-    def _tangents(self, count: int = 10) -> Any:
+    def _problem(self, constants: Mapping[str, float]) -> Problem:
         self._hierarchy()
+        values, body = self.case.complete(constants), self.bodies.landmarks(self.body, self.case)
+        return BREAST.problem(self.bodies.model(self.mesh), self.case, values, body)
+
+    def _tangents(self) -> Any:
+        problem = self._problem(TRUE_MPA)
         model = self.bodies.model(self.mesh)
         frame = frame_of(model.finest.nodes)
-        values, body = self.case.complete(TRUE_MPA), self.bodies.landmarks(self.body, self.case)
-        problem = BREAST.problem(model, self.case, values, body)
         at = equilibrium(model, problem)
         effects = map(catalogue_of(BREAST.name).named, TEN_OF)
-        changes = [c for effect in effects for c in effect.changes(problem, frame)][:count]
-        assert len(changes) == count
+        changes = [c for effect in effects for c in effect.changes(problem, frame)][:10]
+        assert len(changes) == 10
         return lambda: tangents(at, changes)
 
     def _tangent(self) -> Any:
-        return self._tangents(1)
+        problem = self._problem(TRUE_MPA)
+        at = equilibrium(self.bodies.model(self.mesh), problem)
+        stiffer = self._problem({**TRUE_MPA, "E_fat": TRUE_MPA["E_fat"] + STEP_MPA})
+        change = Change(stiffer, problem, STEP_MPA)
+        return lambda: tangents(at, [change])
 
     def _deformation(self, constants: Mapping[str, float]) -> Any:
         mesh = self._hierarchy()

@@ -8,10 +8,9 @@ against its plate dissipates
 Coulomb's law but for slips of the order of epsilon, over which friction builds up
 (a regularised pseudo-potential). Slip is counted from an origin: where the node was
 when it began to slip, dragged along behind it from step to step, so that a node that
-sticks does not creep. lambda is the force of the present state: it is held during a
-minimisation and updated after it until it no longer changes, so every step ends in
-implicit Coulomb equilibrium. Its derivative enters the tangent of
-`workers.mechanics.fem.equilibrium.sensitivity`.
+sticks does not creep. lambda is the force of the present state: every step ends in
+implicit Coulomb equilibrium. Its derivative is in
+`workers.mechanics.fem.equilibrium.coupled_tangent`.
 """
 
 from dataclasses import dataclass, replace
@@ -45,6 +44,8 @@ class PlateFriction:
         Travel of the plates at the beginning of the step.
     normal_force : ndarray, shape (c,)
         lambda of each contact node, in N.
+    dual : ndarray, shape (c, 3), optional
+        Direction of friction while it is an unknown of its own; see `coupled_newton`.
     """
 
     nodes: ContactNodes
@@ -53,6 +54,7 @@ class PlateFriction:
     slip_origin: FloatArray
     start_travel_mm: float
     normal_force: FloatArray
+    dual: FloatArray | None = None
 
     def with_contact(self, contact: PlateContact) -> "PlateFriction":
         """Return the same friction with the plate and the normal force of `contact`."""
@@ -76,6 +78,25 @@ class PlateFriction:
         s = self.slip(x, travel_mm)
         return np.asarray(s / np.sqrt((s * s).sum(axis=1) + EPSILON_MM**2)[:, None])
 
+    def with_direction_moved(
+        self, length: float, x: FloatArray, travel_mm: float, u: FloatArray, travel: float
+    ) -> "PlateFriction":
+        """Return the friction whose direction, an unknown, has gone so far along a step.
+
+        The step goes from (x, travel_mm) along (u, travel).
+        """
+        if self.dual is None:
+            raise AssertionError("the direction is no unknown")
+        s, moved, n = self.slip(x, travel_mm), u[self.nodes.index], self.plate.normal
+        moved = moved - travel * self.plate.velocity
+        moved -= (moved @ n)[:, None] * n
+        root = np.sqrt((s * s).sum(axis=1) + EPSILON_MM**2)[:, None]
+        unit = s / root
+        along = (unit * moved).sum(axis=1, keepdims=True)
+        dual = self.dual + length * ((moved - along * self.dual) / root + unit - self.dual)
+        size = np.sqrt((dual * dual).sum(axis=1, keepdims=True))
+        return replace(self, dual=dual / np.maximum(size, 1.0))
+
     def next_slip_origin(self, x: FloatArray, travel_mm: float) -> FloatArray:
         """Return the slip origin of the next step: the nodes less the slip they keep, (c, 3).
 
@@ -96,9 +117,11 @@ class PlateFriction:
         force = (limit / root)[:, None] * s
         tangential = np.eye(3) - np.outer(n, n)
         unit = s / root[:, None]
-        stiffness = (limit / root)[:, None, None] * (
-            tangential - unit[:, :, None] * unit[:, None, :]
-        )
+        turned = unit if self.dual is None else self.dual
+        turned = turned[:, :, None] * unit[:, None, :]
+        if self.dual is not None:
+            turned = (turned + turned.transpose(0, 2, 1)) / 2
+        stiffness = (limit / root)[:, None, None] * (tangential - turned)
         coupling = -stiffness @ along
         return ContactPotential(
             energy=float(limit @ (root - EPSILON_MM)),

@@ -53,6 +53,27 @@ class State:
         """Return a state at other positions with the same history."""
         return State(x, travel_mm, self.history)
 
+    def moved_along(self, length: float, u: FloatArray, travel: float) -> "State":
+        """Return the state so far along a step, the directions of friction moved with it."""
+        x, t = self.x + length * u, self.travel_mm + length * travel
+        friction = tuple(
+            f.with_direction_moved(length, self.x, self.travel_mm, u, travel)
+            for f in self.history.friction
+        )
+        return State(x, t, replace(self.history, friction=friction))
+
+    def with_free_directions(self) -> "State":
+        """Return the state with directions of friction that are unknowns of their own."""
+        friction = tuple(
+            replace(f, dual=f.direction(self.x, self.travel_mm)) for f in self.history.friction
+        )
+        return replace(self, history=replace(self.history, friction=friction))
+
+    def with_directions_of_slip(self) -> "State":
+        """Return the state with the directions of friction that its slips have."""
+        friction = tuple(replace(f, dual=None) for f in self.history.friction)
+        return replace(self, history=replace(self.history, friction=friction))
+
     def with_eigenvector(self, eigenvector: Float32Array | None) -> "State":
         """Return the same state with another estimate of the stiffest mode."""
         return replace(self, history=replace(self.history, eigenvector=eigenvector))

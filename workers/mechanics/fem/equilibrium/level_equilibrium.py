@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from palpate.workers.mechanics.fem.elements.states import Stage, State
+from palpate.workers.mechanics.fem.equilibrium.coupled_newton import MAX_ITERATIONS, solve_coupled
 from palpate.workers.mechanics.fem.equilibrium.equilibrium_check import equilibrium_fault
 from palpate.workers.mechanics.fem.equilibrium.newton import LOOSEST, Result, minimise
 from palpate.workers.mechanics.fem.linear.level import Level, without_laws
@@ -32,8 +33,9 @@ def solve_level(
 ) -> Result:
     """Find the equilibrium near `start`, forces without an energy brought up to date.
 
-    Friction and follower pressure are held while the energy is minimised, then updated,
-    until an update moves no node by more than `tolerance_mm`. For `forcing` see `minimise`.
+    Friction is solved for together with the displacements. Where that does not converge, and for
+    follower pressure alone, such forces are held while the energy is minimised, then updated.
+    For `forcing` see `minimise`.
     """
     if level.constants.laws and not np.isfinite(level.energy(start, stage).potential):
         # The law knows no inverted element; a neo-Hookean body finds a start without any.
@@ -44,6 +46,49 @@ def solve_level(
         start = start.moved_to(found.state.x, found.state.travel_mm)
     if level.is_conservative(start):
         return minimise(level, start, stage, factory, tolerance_mm, max_iterations, forcing)
+    if start.history.friction:
+        coupled = _solve_together(level, start, stage, factory, tolerance_mm, max_iterations)
+        if not coupled.reason:
+            return coupled
+    return _solve_by_updates(level, start, stage, factory, tolerance_mm, max_iterations, forcing)
+
+
+def _solve_together(
+    level: Level,
+    start: State,
+    stage: Stage,
+    factory: LinearSolverFactory,
+    tolerance_mm: float,
+    max_iterations: int | None,
+) -> Result:
+    """Solve for displacements and friction at once.
+
+    The coarsest mesh, whose start is far off, first finds its place under the friction of then.
+    """
+    limit = min(MAX_ITERATIONS, max_iterations or MAX_ITERATIONS)
+    if level.model.transfer is not None:
+        return solve_coupled(level, start, stage, factory, tolerance_mm, limit)
+    near = minimise(level, start, stage, factory, max(FIRST_TOLERANCE_MM, tolerance_mm))
+    if near.reason:
+        return near
+    found = solve_coupled(level, near.state, stage, factory, tolerance_mm, limit)
+    newton, cg = near.iterations + found.iterations, near.cg_iterations + found.cg_iterations
+    return replace(found, iterations=newton, cg_iterations=cg)
+
+
+def _solve_by_updates(
+    level: Level,
+    start: State,
+    stage: Stage,
+    factory: LinearSolverFactory,
+    tolerance_mm: float,
+    max_iterations: int | None,
+    forcing: float,
+) -> Result:
+    """Hold friction and follower pressure while the energy is minimised, then update them.
+
+    Until an update moves no node by more than `tolerance_mm`.
+    """
     near = max(FIRST_TOLERANCE_MM, tolerance_mm)
     result = minimise(level, start, stage, factory, near, max_iterations, forcing)
     newton, cg = result.iterations, result.cg_iterations

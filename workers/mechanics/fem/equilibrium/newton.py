@@ -133,7 +133,7 @@ def minimise(
         force, tangent = level.linearise(state, energy, stage, convex=held, positive=held and late)
         if stage.force_n is not None and tangent.plate_stiffness == 0:
             return Result(state, "the plate lost contact", iteration, cg_total, residual, linear)
-        plate = _plate_residual(energy, stage)
+        plate = plate_residual(energy, stage)
         residual = float(np.sqrt(np.vdot(force, force) + plate**2))
         if np.isfinite(last_residual):
             forcing = min(LOOSEST, max(TIGHTEST, 0.5 * (residual / last_residual) ** 1.5))
@@ -200,7 +200,7 @@ def solve_bordered(
     return correction, (plate - along) / tangent.plate_stiffness
 
 
-def _plate_residual(energy: Energy, stage: Stage) -> float:
+def plate_residual(energy: Energy, stage: Stage) -> float:
     """Return the out-of-balance force on force-controlled plates, in N."""
     return 0.0 if stage.force_n is None else energy.contact.travel_force - stage.force_n
 

@@ -6,7 +6,7 @@ With the out-of-balance force R(x, phi) = 0 at an equilibrium,
 
 The right side is a difference of two forces at the same place, which costs no
 solve. Where friction or follower pressure act, their derivative by x, which is not
-symmetric, is added by GMRES around the symmetric solver. With friction the slip of
+symmetric, is added; see `coupled_tangent`. With friction the slip of
 earlier steps of the load is held.
 """
 
@@ -15,23 +15,22 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, gmres
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
 from palpate.workers.mechanics.fem.contact.frictional_contact import PlateFriction
 from palpate.workers.mechanics.fem.elements.external_forces import (
     dirichlet_conditions,
-    pressure_derivative,
 )
 from palpate.workers.mechanics.fem.elements.model import Model
 from palpate.workers.mechanics.fem.elements.states import History, Stage, State
+from palpate.workers.mechanics.fem.equilibrium.coupled_tangent import CoupledTangent
 from palpate.workers.mechanics.fem.equilibrium.load_schedule import (
     bring_into_contact,
     friction_fractions,
     stage_at,
 )
-from palpate.workers.mechanics.fem.equilibrium.newton import minimise, solve_bordered
+from palpate.workers.mechanics.fem.equilibrium.newton import minimise
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
 from palpate.workers.mechanics.fem.equilibrium.stress_free_shape import (
     NoStressFreeShapeError,
@@ -39,7 +38,7 @@ from palpate.workers.mechanics.fem.equilibrium.stress_free_shape import (
     stress_free,
 )
 from palpate.workers.mechanics.fem.linear import sparse_products
-from palpate.workers.mechanics.fem.linear.level import Energy, Level, Tangent
+from palpate.workers.mechanics.fem.linear.level import Level, Tangent
 from palpate.workers.mechanics.fem.linear.multigrid import linear_solver, solver_factory
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 
@@ -129,8 +128,7 @@ def _solved(
     if at.levels[-1].is_conservative(at.states[-1]):
         solutions = list(here.solve_symmetric(right, tolerance))
     else:
-        # GMRES measures residuals, which say less of the displacement than errors do.
-        solutions = [here.solve_nonsymmetric(r, tolerance / 10) for r in right]
+        solutions = [here.solve_nonsymmetric(r, tolerance) for r in right]
     free = at.levels[-1].free > 0
     moved = [np.where(free, u, r.prescribed) for u, r in zip(solutions, right, strict=True)]
     return right, np.stack(moved)
@@ -341,45 +339,13 @@ class _Linearisation:
         return self.linear.solve_many(b, tolerance).u
 
     def solve_nonsymmetric(self, right: _RightSide, tolerance: float) -> FloatArray:
-        """Solve with the symmetric tangent, and with what has no energy around it."""
-        b, plate = right.force, right.plate
-        shape, n = b.shape, b.size
-
-        def operator(v: FloatArray) -> FloatArray:
-            force, on_plate = _nonconservative_derivative(
-                self.level, self.state, self.energy, self.stage, v[:n].reshape(shape), v[n]
-            )
-            u, travel = self._solve_bordered(force * self.level.free, on_plate, tolerance / 10)
-            return v + np.append(u.ravel(), travel)
-
-        u, travel = self._solve_bordered(b, plate, tolerance / 10)
-        start = np.append(u.ravel(), travel)
-        shifted = LinearOperator((n + 1, n + 1), matvec=operator, dtype=np.float64)
-        solution, failed = gmres(shifted, start, rtol=tolerance, maxiter=5, restart=30)
-        if failed:
+        """Solve with what has no energy, shape (n, 3)."""
+        found, _ = self._coupled.solve(right.force, right.plate, tolerance)
+        if found.error > tolerance:
             raise ArithmeticError("the tangent with friction or pressure was not solved")
-        return np.asarray(solution[:n].reshape(shape))
+        return found.u
 
-    def _solve_bordered(
-        self, b: FloatArray, plate: float, tolerance: float
-    ) -> tuple[FloatArray, float]:
-        """Return the displacement, (n, 3), and the travel, without friction and pressure."""
-        correction, travel = solve_bordered(self.linear, self.tangent, b, plate, tolerance)
-        return correction.u, travel
-
-
-def _nonconservative_derivative(
-    level: Level, state: State, at: Energy, stage: Stage, u: FloatArray, travel: float
-) -> tuple[FloatArray, float]:
-    """Differentiate friction and follower pressure along (u, travel): on nodes and plates."""
-    force, on_plate = np.zeros_like(u), 0.0
-    pressures = level.problem.pressures
-    if pressures:
-        force -= stage.fraction * pressure_derivative(level.model, state.x, pressures, u)
-    for friction, contact in zip(state.history.friction, at.plate_contacts, strict=False):
-        nodes = friction.nodes
-        gain = friction.coefficient * contact.normal_force_change(u[nodes.index], travel)
-        drag = gain[:, None] * friction.direction(state.x, state.travel_mm)
-        force[nodes.index] += drag
-        on_plate -= float(drag.sum(axis=0) @ friction.sliding_velocity)
-    return force, on_plate
+    @cached_property
+    def _coupled(self) -> CoupledTangent:
+        parts = self.level, self.state, self.energy, self.stage, self.tangent, self.linear
+        return CoupledTangent(*parts)

@@ -56,6 +56,12 @@ class LinearSolver(Protocol):
     def precondition(self, b: Float32Array) -> Float32Array:
         """Solve approximately for one right-hand side, (n, 4), or for a block, (n, 4, LANES)."""
 
+    def approximate(self, b: FloatArray) -> FloatArray:
+        """Solve approximately for one right-hand side, (n, 4), in the best way at no great cost."""
+
+    def multiply(self, x: FloatArray, y: FloatArray) -> None:
+        """Set y = tangent times x, and the pressure of `x`."""
+
 
 LinearSolverFactory = Callable[[Level, Tangent, Float32Array | None], LinearSolver]
 """Makes a solver of a tangent, from an estimate of its stiffest mode where there is one."""
@@ -94,6 +100,7 @@ class CholeskySolver:
             A[np.ix_(c, c)] -= np.outer(a, a) / tangent.plate_stiffness
         self.shifted, self._factor = _cholesky(A)
         self._inverse: Float32Array | None = None
+        self._packed = PackedTangent(level, tangent)
 
     def solve(self, b: FloatArray, tolerance: float = 0.0) -> Correction:
         """Solve directly; the tolerance is always met."""
@@ -115,6 +122,16 @@ class CholeskySolver:
         flat = b[:, :3].reshape((3 * len(b), *b.shape[2:]))
         x[:, :3] = (self._inverse @ flat).reshape((len(b), 3, *b.shape[2:]))
         return x
+
+    def approximate(self, b: FloatArray) -> FloatArray:
+        """Solve directly."""
+        x = np.zeros_like(b)
+        x[:, :3] = self._solve(b[:, :3])
+        return x
+
+    def multiply(self, x: FloatArray, y: FloatArray) -> None:
+        """Set y = tangent times x, and the pressure of `x`."""
+        self._packed.multiply(x, y)
 
     def _solve(self, b: FloatArray) -> FloatArray:
         """Solve for `b`, (n, 3) or (n, 3, k)."""
@@ -199,6 +216,10 @@ class Multigrid:
             A.smoothing_sweep(momentum, scale, r, x, step, other, number < len(self._steps))
             step, other = other, step
         return x
+
+    def approximate(self, b: FloatArray) -> FloatArray:
+        """Run one V-cycle, from and to double precision."""
+        return self.precondition(b.astype(np.float32)).astype(np.float64)
 
     def _work_vectors(self, like: Float32Array) -> tuple[Float32Array, ...]:
         """Return four vectors, kept: fresh ones would cost more than a sweep to page in."""

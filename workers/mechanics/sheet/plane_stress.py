@@ -44,7 +44,9 @@ class PlaneStress:
     thickness_stretch: FloatArray
 
 
-def plane_stress(C: FloatArray, law: Law, kappa_mpa: float) -> PlaneStress:
+def plane_stress(
+    C: FloatArray, law: Law, kappa_mpa: float, near: PlaneStress | None = None
+) -> PlaneStress:
     """Return the response to a metric; nan where the metric is not positive definite.
 
     Parameters
@@ -55,6 +57,8 @@ def plane_stress(C: FloatArray, law: Law, kappa_mpa: float) -> PlaneStress:
         Change of shape.
     kappa_mpa : float
         Bulk modulus, > 0.
+    near : PlaneStress, optional
+        Of a similar material under the same metric; its thickness is where the search begins.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         F = np.zeros((len(C), 3, 3))
@@ -62,13 +66,16 @@ def plane_stress(C: FloatArray, law: Law, kappa_mpa: float) -> PlaneStress:
         F[:, 0, 1] = C[:, 0, 1] / F[:, 0, 0]
         F[:, 1, 1] = np.sqrt(C[:, 1, 1] - F[:, 0, 1] ** 2)
         area = F[:, 0, 0] * F[:, 1, 1]
-        F[:, 2, 2] = _thickness_stretch(F, area, law, kappa_mpa)
+        start = 1 / area if near is None else near.thickness_stretch
+        F[:, 2, 2] = _thickness_stretch(F, area, start, law, kappa_mpa)
         return _condensed(F, area, law, kappa_mpa)
 
 
-def _thickness_stretch(F: FloatArray, area: FloatArray, law: Law, kappa_mpa: float) -> FloatArray:
+def _thickness_stretch(
+    F: FloatArray, area: FloatArray, start: FloatArray, law: Law, kappa_mpa: float
+) -> FloatArray:
     """Return the stretch across the sheet at which no stress acts there, by Newton's method."""
-    log = -np.log(area)
+    log = np.log(start)
     for _ in range(MOST_ITERATIONS):
         across = np.exp(log)
         F[:, 2, 2] = across

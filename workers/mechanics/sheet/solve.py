@@ -158,7 +158,7 @@ class SheetEquilibrium:
         if is_same and system.problem.variations == own.variations:
             inner = self._inner_n
         else:
-            inner = system.inner_n(self._x)
+            inner = system.inner_n(self._x, system.response(self._x, self.response))
         return np.asarray(inner - system.outer_n(self._x))
 
 

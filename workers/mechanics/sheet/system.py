@@ -138,15 +138,17 @@ class SheetSystem:
         corners = x[self.model.triangles]
         return np.einsum("mni,mqna->mqia", corners, self.model.gradients, optimize=True)
 
-    def response(self, x: FloatArray) -> PlaneStress:
-        """Return stress and tangent at all points of integration, one after another."""
+    def response(self, x: FloatArray, near: PlaneStress | None = None) -> PlaneStress:
+        """Return stress and tangent at all points of integration, one after another.
+
+        See `plane_stress` for `near`.
+        """
         f = self.tangents_of_plane(x).reshape(-1, 3, 2)
         C = np.einsum("qia,qib->qab", f, f)
-        return plane_stress(C, self.law, self.constants.kappa_mpa)
+        return plane_stress(C, self.law, self.constants.kappa_mpa, near)
 
-    def inner_n(self, x: FloatArray, response: PlaneStress | None = None) -> FloatArray:
+    def inner_n(self, x: FloatArray, found: PlaneStress) -> FloatArray:
         """Return what stretching the sheet takes at each node, shape (n, 3)."""
-        found = response or self.response(x)
         f = self.tangents_of_plane(x)
         S = full(found.stress).reshape(*f.shape[:2], 2, 2) * self.stiffnesses[..., None, None]
         each = np.einsum("mqia,mqab,mqnb->mni", f, S, self.model.gradients, optimize=True)

@@ -1,1 +1,1 @@
-"""What the difference between model and image says about its cause: arrays in, numbers out."""
+"""Inference of the cause of a model-image discrepancy: arrays in, numbers out."""

@@ -1,20 +1,20 @@
-"""From the nominal analysis to a verdict: fit the suspects, fit pairs of them, weigh.
+"""The sequence from nominal analysis to verdict: fit suspects, fit combinations, weigh.
 
 ::
 
     nominal analysis --> joint fits of single effects --> of pairs --> of three --> verdict
                            |            ^  (each joint fit is independent of the others)
                            v            |
-                       second reading of the noise, where the best one is far from the first
+                       second reading of the noise, if the best fit is far from the nominal one
 
-The verdict rests on fits: an effect that it names is fitted and all are weighed again, for
-screening may miss a motion that all scans share, which poses take up one by one. So is one that
-hides in the constants and yet has something that speaks for it, alone and beside the best that does
-not hide: it would otherwise stand for what another effect leaves.
+Every effect that the verdict names is fitted, and all hypotheses are weighed again: screening can
+miss a motion shared by all scans, which the poses absorb one by one. An effect that the constants
+hide but that the data still support is fitted too, alone and together with the best visible
+effect; otherwise it could be mistaken for the cause of what another effect leaves unexplained.
 
-`diagnose` is a generator: it yields the joint fits that it wants and is sent them, or a second
-reading and is sent the analysis that it gives. Who fits, where, and whether a fit is stored already
-is no business of this file.
+`diagnose` is a generator: it yields requests for joint fits and receives the fits, or yields a
+request for a second reading and receives the new analysis. The caller decides who computes a fit
+and whether a stored one is used.
 """
 
 from collections.abc import Collection, Generator, Sequence
@@ -41,7 +41,7 @@ from palpate.workers.mechanics.effects.base import Effect
 
 @dataclass(frozen=True, eq=False)
 class SecondReading:
-    """Wanted: the noise, read where `best` of some single effects puts the points."""
+    """A request to estimate the noise again at the points predicted by the best single effect."""
 
     singles: Sequence[JointFit]
     best: JointFit
@@ -50,21 +50,21 @@ class SecondReading:
 Wanted = Sequence[Combination] | SecondReading
 Answer = Sequence[JointFit | None] | NominalAnalysis
 Course = Generator[Wanted, Answer, "Diagnosis"]
-"""Yields combinations whose joint fits are wanted; is sent these in their order, None for one
-that could not be simulated. Or yields a second reading, and is sent the analysis with it: later
-fits are wanted under that. Returns the diagnosis."""
+"""Yields combinations to be fitted and receives the fits in the same order, None for one that
+could not be simulated. Or yields a second reading and receives the new analysis, which applies to
+all later fits. Returns the diagnosis."""
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The verdict and all that it rests on.
+    """The verdict and everything it is based on.
 
     Parameters
     ----------
     analysis : NominalAnalysis
     verdict : Verdict
     joint_fits : dict of tuple of str to JointFit
-        By the names of the effects, in the order in which they were asked for.
+        By the names of the effects, in the order requested.
     hypotheses : tuple of Hypothesis
     """
 
@@ -75,7 +75,7 @@ class Diagnosis:
 
     @property
     def best(self) -> JointFit | None:
-        """The joint fit of the effects that are accused."""
+        """The joint fit of the accused effects."""
         accused = set(self.verdict.primary)
         for names, fitted in self.joint_fits.items():
             if set(names) == accused:
@@ -84,7 +84,7 @@ class Diagnosis:
 
 
 def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
-    """Have the suspects fitted, and weigh them against each other.
+    """Request fits of the suspects and weigh them against each other.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def _weighed_up(
     known: dict[str, Effect],
     joint_fits: dict[tuple[str, ...], JointFit],
 ) -> tuple[Verdict, tuple[Hypothesis, ...]]:
-    """Return the verdict, and the hypotheses that it weighs."""
+    """Return the verdict and the hypotheses weighed."""
     hypotheses = weigh(analysis, joint_fits)
     families = {one.name: known[one.name].family for one in analysis.sensitivities}
     odds = PriorOdds(of_effect={one.name: known[one.name].odds for one in analysis.sensitivities})
@@ -122,7 +122,7 @@ def _weighed_up(
 
 
 def unfitted(reached: Verdict, joint_fits: Collection[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return the effects, by name, that a verdict rests on and that were not fitted."""
+    """Return the names of effects on which a verdict depends but which were not fitted."""
     fitted = {name for names in joint_fits for name in names}
     found: list[tuple[str, ...]] = [(name,) for name in sorted(set(reached.primary) - fitted)]
     doubt = 1.0 - SETTINGS.verdict.credible
@@ -134,14 +134,14 @@ def unfitted(reached: Verdict, joint_fits: Collection[tuple[str, ...]]) -> list[
 
 
 def advance(course: Course, answer: Answer | None = None) -> Wanted | Diagnosis:
-    """Take a diagnosis to where it wants something again, or to its end.
+    """Advance a diagnosis to its next request or to its end.
 
     Parameters
     ----------
     course : generator
         See `diagnose`.
     answer : sequence of JointFit or None, or NominalAnalysis, optional
-        What it wanted; nothing begins it.
+        The answer to the last request; None to start.
     """
     try:
         return next(course) if answer is None else course.send(answer)
@@ -151,9 +151,9 @@ def advance(course: Course, answer: Answer | None = None) -> Wanted | Diagnosis:
 
 
 def base_of(effects: Sequence[Effect]) -> tuple[str, ...]:
-    """Return the names of the effects whose joint fit these begin from: all but the last one.
+    """Return the names of the effects whose joint fit is the starting point: all but the last.
 
-    Combinations are wanted after those that they add an effect to.
+    A combination is requested after the one that it extends.
     """
     return tuple(effect.name for effect in effects[:-1])
 
@@ -161,9 +161,9 @@ def base_of(effects: Sequence[Effect]) -> tuple[str, ...]:
 def weigh(
     analysis: NominalAnalysis, joint_fits: dict[tuple[str, ...], JointFit]
 ) -> tuple[Hypothesis, ...]:
-    """Return the evidence of every hypothesis: of a joint fit, else of the linear model.
+    """Return the evidence of every hypothesis, from its joint fit or else the linear model.
 
-    A joint fit's form is uncertain; see `workers.diagnosis.screening.form_error`.
+    For joint fits it includes the error of form; see `workers.diagnosis.screening.form_error`.
     """
     nominal = analysis.hypothesis(analysis.nominal)
     joint = JointEvidence(nominal, analysis.sensitivities, analysis.noise)
@@ -188,14 +188,14 @@ def _weighed(analysis: NominalAnalysis, names: tuple[str, ...], fitted: JointFit
 def _fitted(
     combinations: Sequence[Combination],
 ) -> Generator[Wanted, Answer, dict[tuple[str, ...], JointFit]]:
-    """Have combinations fitted; return the fits by the names of their effects."""
+    """Request fits of combinations and return them by the names of their effects."""
     answer = (yield combinations) if combinations else []
     if isinstance(answer, NominalAnalysis):
-        raise TypeError("joint fits are wanted, not an analysis")
+        raise TypeError("expected joint fits, got an analysis")
     return {one.names: one for one in answer if one is not None}
 
 
 def _read(answer: Answer) -> NominalAnalysis:
     if not isinstance(answer, NominalAnalysis):
-        raise TypeError("an analysis is wanted, not joint fits")
+        raise TypeError("expected an analysis, got joint fits")
     return answer

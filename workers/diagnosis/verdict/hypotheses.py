@@ -1,8 +1,8 @@
-"""What may be the case, how probable it is before data, and after.
+"""Hypotheses with their prior and posterior probabilities.
 
 An image may show no gap, a gap that no listed effect explains (a smooth field alone), or one to
-three effects; with effects, a smooth field may stand for something else beside them. That no real
-effect has just the form that is listed is in the evidence of each; see
+three effects, with or without a smooth field for other causes. The evidence of each hypothesis
+allows for real effects that differ from their listed form; see
 `workers.diagnosis.screening.form_error`.
 """
 
@@ -20,7 +20,7 @@ from palpate.workers.diagnosis.settings.values import SETTINGS, OddsSettings
 MOST_EFFECTS = 3
 
 Case = tuple[tuple[str, ...], bool]
-"""The effects, and whether there is a smooth field too."""
+"""The effects, and whether a smooth field is added."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +32,13 @@ class Hypothesis:
     effects : tuple of str
         None to three.
     log_evidence : float
-        In nats; all hypotheses on one scale. An effect that was not fitted again may come
-        with the evidence of the linear model.
+        In nats, on one scale for all hypotheses; from the linear model if the effects were not
+        refitted.
     discrepancy_gain : float, optional
-        By how much a smooth field raises it; None if that was not tried.
+        Increase due to a smooth field; None if it was not tried.
     acting, acting_beside : float
-        How probably the effects act and do not only resemble a cause that is not listed, without
-        and with a smooth field beside them; see `workers.diagnosis.screening.form_error`.
+        Probability that the effects act rather than resemble an unlisted cause, without and with
+        a smooth field; see `workers.diagnosis.screening.form_error`.
 
     Raises
     ------
@@ -65,15 +65,15 @@ class Hypothesis:
 
     @property
     def best(self) -> float:
-        """Log evidence with the field if that helps."""
+        """Log evidence, with the field if that is larger."""
         return self.log_evidence + max(0.0, self.discrepancy_gain or 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class PriorOdds:
-    """How probable each kind of hypothesis is before data; split among its members.
+    """Prior odds of each kind of hypothesis, split among its members.
 
-    Evenly, but for `of_effect`, by how much each effect is more probable than others.
+    The split is even, except for the factors of single effects in `of_effect`.
 
     Raises
     ------
@@ -89,12 +89,12 @@ class PriorOdds:
             raise InputError(f"Prior odds must be > 0, found {self}.")
 
     def trust(self, unlisted: float) -> float:
-        """Return how probably effects act and are not a mere likeness of what is not listed.
+        """Return the probability that effects act rather than resemble an unlisted cause.
 
         Parameters
         ----------
         unlisted : float
-            Part of the evidence, 0 to 1, that a smooth field gains beside them.
+            Share of the evidence, 0 to 1, that is gained by adding a smooth field.
         """
         mean = self.kinds.unlisted_part
         acting = np.exp(-unlisted / mean) / (mean * -np.expm1(-1.0 / mean))
@@ -102,7 +102,7 @@ class PriorOdds:
         return float(acting / (acting + likeness))
 
     def log_prior(self, case: Case, catalogue: int) -> float:
-        """Return that of one hypothesis, up to a constant, of a catalogue of so many effects."""
+        """Return the unnormalised log prior of a hypothesis, given the size of the catalogue."""
         effects, field = case
         of = self.kinds
         kinds = (
@@ -118,14 +118,14 @@ class PriorOdds:
 def probabilities(
     hypotheses: Sequence[Hypothesis], catalogue: int, odds: PriorOdds | None = None
 ) -> dict[Case, float]:
-    """Return posterior probability of each hypothesis, with and without the field.
+    """Return the posterior probability of each hypothesis, with and without the field.
 
     Parameters
     ----------
     hypotheses : sequence of Hypothesis
     catalogue : int
-        How many effects are listed. A hypothesis that is missing keeps its part of the
-        prior odds, so choosing candidates by the data earns nothing.
+        Number of listed effects. A missing hypothesis keeps its share of the prior odds, so
+        choosing candidates by the data gives no advantage.
     odds : PriorOdds, optional
 
     Returns
@@ -147,7 +147,7 @@ def probabilities(
 
 
 def alarm(hypotheses: Sequence[Hypothesis]) -> float:
-    """Return log evidence of the best alternative against no gap.
+    """Return the log Bayes factor of the best alternative against no gap.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """Evidence of all hypotheses in the linear model, from one table of inner products.
 
-Every hypothesis frees some of the same columns, so its curvature and gradient are a part
-of the full ones. That makes hundreds of hypotheses, with the smooth field and for many
-vectors of residuals, cost little more than one.
+Every hypothesis frees a subset of the same columns, so its curvature and gradient are parts of
+the full ones. Hundreds of hypotheses, with the smooth field and for many vectors of residuals,
+therefore cost little more than one.
 """
 
 from collections.abc import Sequence
@@ -50,8 +50,8 @@ class JointEvidence:
             raise InputError(f"Each effect is listed once, found {names}.")
         if noise.size != len(nominal.residual):
             raise InputError(
-                f"The noise was made for {noise.size} residuals, the fit has "
-                f"{len(nominal.residual)}. Make one for its points."
+                f"The noise model is for {noise.size} residuals, but the fit has "
+                f"{len(nominal.residual)}. Create the noise model from the points of the fit."
             )
         p = nominal.columns.shape[1]
         blocks: list[FloatArray] = [nominal.columns]
@@ -81,11 +81,11 @@ class JointEvidence:
         return tuple(self._columns)
 
     def log_evidence(self, effects: tuple[str, ...]) -> float:
-        """Return that of some effects together, averaged over places and noise."""
+        """Return the log evidence of effects acting together, averaged over places and noise."""
         return self._average(self._plain, effects)
 
     def hypothesis(self, effects: tuple[str, ...]) -> Hypothesis:
-        """Return the evidence of some effects together, with and without the smooth field."""
+        """Return the evidence of effects acting together, with and without the smooth field."""
         alone = self.log_evidence(effects)
         if self._field is None:
             return Hypothesis(effects, alone)
@@ -97,7 +97,7 @@ class JointEvidence:
         return float(logsumexp(found) - np.log(len(places)))
 
     def _at(self, q: Quadratic, places: Sequence[tuple[IntArray, ...]]) -> float:
-        """Return the sum of evidence over some places, the noise and where scans may lie."""
+        """Return the log of the evidence summed over places, noise states and pose scales."""
         which = np.array([np.concatenate([self._nominal, *place]) for place in places])
         any_place = which[0]
         freed = with_pose_scales(q.of(which), self._is_pose[any_place])

@@ -1,4 +1,4 @@
-"""The constants and the parameters of some effects, fitted again together."""
+"""Joint fits of the constants and the parameters of effects."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ class JointFit:
 
 @dataclass(frozen=True, eq=False)
 class SolvedJointFit(JointFit):
-    """The same with the equilibria of its scans, from which another fit can go on."""
+    """A joint fit with the equilibria of its scans, from which another fit can continue."""
 
     fit: SolvedFit
 
@@ -46,7 +46,7 @@ def fit_jointly(
     each: Each = map,
     base: JointFit | None = None,
 ) -> JointFit | None:
-    """Fit constants and effects, from the best places where an effect has one.
+    """Fit constants and effects, starting localised effects at their best places.
 
     Parameters
     ----------
@@ -55,13 +55,13 @@ def fit_jointly(
     each : callable
         Calls a function with every scan; see `workers.diagnosis.fits.gauss_newton.fit`.
     base : JointFit, optional
-        Of the first of the effects: the fit begins there, and the others where a screening of
-        what it leaves expects them. None to begin at the nominal fit.
+        A fit of the first effects, from which this one starts; the others start at the values
+        that a screening of its residuals expects. None to start from the nominal fit.
 
     Returns
     -------
     JointFit or None
-        None if no start could be simulated, nor one nearer to neutral.
+        None if neither a start nor one closer to neutral could be simulated.
     """
     begun = analysis.begun.get(effects[0].name, {}) if base is None else base.fit.values()
     at = analysis.linear if base is None else base.fit.linearised(analysis.inverse)
@@ -85,7 +85,7 @@ def fit_jointly(
 
 
 def _gone_on(analysis: NominalAnalysis, tried: SolvedJointFit, each: Each) -> SolvedJointFit:
-    """Return a fit that was tried for a few iterations, at its end."""
+    """Continue a fit that was tried for a few iterations until it ends."""
     values, near = tried.fit.values(), tried.fit
     found = _fitted_from(analysis, tried.effects, values, near, each)
     if found is None:
@@ -102,7 +102,7 @@ def _fitted_from(
     each: Each,
     max_iterations: int = SETTINGS.fit.max_iterations,
 ) -> SolvedJointFit | None:
-    """Fit from values of all parameters, the first equilibria from those of a fit nearby."""
+    """Fit from given parameter values, starting the equilibria from those of a nearby fit."""
     inverse = analysis.inverse
     free = unknowns(inverse.free, effects)
     z = np.array([values[name] for name in free.names])
@@ -126,7 +126,7 @@ def _compensated(
     effects: Sequence[Effect],
     values: Mapping[str, float],
 ) -> dict[str, float]:
-    """Return values with constants that take up most of what the effects do there."""
+    """Return the values with the constants adjusted to offset most of the effects."""
     sensitivities, free = analysis.sensitivity_by_name, analysis.inverse.free
     k = len(free)
     moved = np.zeros(at.size)
@@ -145,10 +145,10 @@ def _compensated(
 def _starts(
     analysis: NominalAnalysis, at: Linearised, effects: Sequence[Effect]
 ) -> list[dict[str, float]]:
-    """Return the parameters of the effects to begin with: several if one of them has places.
+    """Return the starting parameters of the effects: several starts if one effect has places.
 
-    Where two have, each begins at its best place alone. A screening of what `at` leaves says what
-    to expect.
+    If two effects have places, each starts only at its best one. The expected sizes come from a
+    screening of the residuals of `at`.
     """
     screened = {
         effect.name: analysis.screening_by_name[effect.name]
@@ -173,7 +173,7 @@ def _starts(
 def _placed(
     analysis: NominalAnalysis, effect: Effect, screened: ScreeningResult
 ) -> list[dict[str, float]]:
-    """Return the parameters of an effect at the best of its places."""
+    """Return the starting parameters of an effect at each of its best places."""
     if effect.place is None:
         raise ValueError(f"{effect.name} acts everywhere")
     places = analysis.places(effect)
@@ -187,7 +187,7 @@ def _placed(
 def _nearer(
     effects: Sequence[Effect], start: Mapping[str, float], share: float
 ) -> dict[str, float]:
-    """Return the parameters with sizes that are nearer to neutral; places are what they are."""
+    """Return the parameters with sizes closer to neutral and places unchanged."""
     places = {name for e in effects if e.place is not None for name in e.place.names}
     neutral = {name: value for e in effects for name, value in e.neutral.items()}
     return {
@@ -204,10 +204,10 @@ def _expected(effect: Effect, estimate: FloatArray, *, steep: bool) -> dict[str,
 
 
 def _begin(parameter: Parameter, sd: float, expected: float, *, steep: bool = False) -> float:
-    """Return where the fit of a parameter begins, of which the screening expects a change.
+    """Return the starting value of a parameter, given the change expected from screening.
 
-    One that grows faster than its magnitude does so little near zero that a fit stays there: it
-    begins some way off at least.
+    The response to a `steep` parameter grows faster than its magnitude and is so small near zero
+    that a fit would stay there; it therefore starts at a minimum distance from zero.
     """
     settings, neutral = SETTINGS.joint_fits, parameter.neutral or 0.0
     most = settings.most_start * sd
@@ -218,7 +218,7 @@ def _begin(parameter: Parameter, sd: float, expected: float, *, steep: bool = Fa
 
 
 def _begin_at_place(parameter: Parameter, sd: float, expected: float) -> float:
-    """Return the same for a size at one place: never neutral, for there the place does nothing."""
+    """Return the starting size of a localised effect: never neutral, where place has no effect."""
     settings = SETTINGS.joint_fits
     if one_sided(parameter):
         return _begin(parameter, sd, expected)

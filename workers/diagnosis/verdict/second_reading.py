@@ -1,9 +1,10 @@
-"""The noise, read once more where the best single effect puts the points.
+"""Second estimate of the noise, at the points predicted by the best single effect.
 
-It is read first where the nominal model puts them. Where that model is wrong by more than the
-noise is high or long, it has been read off the interfaces, or on other parts of them, and what
-the model lacks has been learnt as noise. The best single effect is nearer to the truth, whatever it
-is called: the noise is read and learnt there again, and all hypotheses are weighed on that.
+The first estimate uses the points predicted by the nominal model. If that model is wrong by more
+than the amplitude or correlation length of the noise, these points are off the interfaces or on
+other parts of them, and model error has been learnt as noise. The best single effect is closer to
+the truth even if it is not the true cause, so the noise is estimated again there, and all
+hypotheses are weighed with the new estimate.
 """
 
 from collections.abc import Sequence
@@ -29,10 +30,10 @@ from palpate.workers.scan_threads import Each
 
 
 def is_elsewhere(analysis: NominalAnalysis, best: Fit) -> bool:
-    """Return whether a fit puts the points where the noise is another one.
+    """Check whether a fit moves the points far enough to change the noise estimate.
 
-    As far from where the nominal model has them, root mean square, as the noise is high across
-    the interfaces, or long along them.
+    The root mean square shift from the nominal points is compared with the standard deviation of
+    the noise across the interfaces and with its correlation length along them.
     """
     inverse, nominal = analysis.inverse, analysis.nominal
     if not inverse.is_segmented:
@@ -49,13 +50,13 @@ def is_elsewhere(analysis: NominalAnalysis, best: Fit) -> bool:
 def read_again(
     analysis: NominalAnalysis, singles: Sequence[JointFit], best: JointFit, each: Each = map
 ) -> NominalAnalysis:
-    """Read and learn the noise at the best single effect, and fit the constants alone again.
+    """Estimate the noise again at the best single effect and refit the constants alone.
 
     Parameters
     ----------
     analysis : NominalAnalysis
     singles : sequence of JointFit
-        All single effects that were fitted.
+        All fitted single effects.
     best : JointFit
         One of them.
     each : callable
@@ -64,7 +65,7 @@ def read_again(
     Returns
     -------
     NominalAnalysis
-        With the sensitivities of the first one.
+        With the sensitivities of the first analysis.
     """
     inverse, nominal = analysis.inverse, analysis.nominal
     begun = {one.names[0]: one.fit.values() for one in singles}
@@ -88,5 +89,5 @@ def read_again(
     free = nominal.unknowns
     again = fit(inverse, free, nominal.z, nominal.starts(), nominal.poses(), each)
     if again is None:
-        raise AssertionError("the start of this fit was the end of another one")
+        raise AssertionError("a fit that starts at the optimum of another one must be simulable")
     return NominalAnalysis(inverse, again, analysis.sensitivities, begun)

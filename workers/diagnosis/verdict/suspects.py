@@ -1,4 +1,4 @@
-"""Which effects, and which of them together, are worth a joint fit with the constants."""
+"""Selection of the effects and combinations that are worth a joint fit with the constants."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
@@ -14,13 +14,13 @@ Catalogue = Mapping[str, Effect]
 """Effects by their names."""
 
 Combination = tuple[Effect, ...]
-"""Effects that are fitted together with the constants."""
+"""Effects fitted together with the constants."""
 
 
 def suspects(analysis: NominalAnalysis, known: Catalogue) -> list[Effect]:
-    """Return the effects that are worth a joint fit, the most suspicious first.
+    """Return the effects that are worth a joint fit, the most probable first.
 
-    Where the nominal model is far off, one follows that the linear model underrates.
+    If the nominal model is far off, one effect that the linear model underrates is added.
     """
     settings = SETTINGS.joint_fits
     visible = [one for one in analysis.screening if not one.hides]
@@ -41,9 +41,9 @@ def pairs(
 ) -> list[Combination]:
     """Return pairs that are worth a joint fit.
 
-    The best effect with what speaks from what it leaves; others with what speaks from what they
-    leave, where that promises more; all pairs of the best ones if a smooth field explains what the
-    best one leaves.
+    These are the best effect with each effect that its residuals support; other effects with
+    those that their residuals support, if the expected evidence is higher; and all pairs of the
+    best effects if a smooth field explains the residuals of the best one.
     """
     near = ranked(singles)[: SETTINGS.joint_fits.partners]
     if not near:
@@ -66,7 +66,7 @@ def pairs(
 def triples(
     analysis: NominalAnalysis, known: Catalogue, fits: Sequence[JointFit]
 ) -> list[Combination]:
-    """Return the best two effects with what speaks from what they leave."""
+    """Return the best two effects with each effect that their residuals support."""
     best = ranked(fits)[:1]
     if not best or len(best[0].effects) < 2:
         return []
@@ -75,18 +75,18 @@ def triples(
 
 
 def ranked(fits: Iterable[JointFit]) -> list[JointFit]:
-    """Return joint fits, the one with the largest evidence first."""
+    """Return joint fits in order of decreasing evidence."""
     return sorted(fits, key=lambda one: -one.log_evidence)
 
 
 def near_best(fits: Sequence[JointFit]) -> list[JointFit]:
-    """Return those of ranked fits that are worth another one: not far behind the best."""
+    """Return the ranked fits that are not far behind the best."""
     least = fits[0].log_evidence - SETTINGS.joint_fits.far_behind
     return [one for one in fits if one.log_evidence >= least]
 
 
 class _Extended(NamedTuple):
-    """Effects that were fitted, one more, and what log evidence a screening promises them."""
+    """Fitted effects with one more, and the log evidence expected from screening."""
 
     effects: Combination
     promise: float
@@ -97,9 +97,9 @@ class _Extended(NamedTuple):
 
 
 def _extended(analysis: NominalAnalysis, known: Catalogue, fitted: JointFit) -> list[_Extended]:
-    """Return a joint fit with each effect that speaks from what it leaves, the loudest first.
+    """Return a joint fit extended by each effect that its residuals support, the best first.
 
-    They are judged by their sensitivities at the nominal fit.
+    The support is computed from the sensitivities at the nominal fit.
     """
     others = [one for one in analysis.sensitivities if one.name not in fitted.names]
     at = fitted.fit.linearised(analysis.inverse).holding(fitted.fit.at_bound != 0)
@@ -115,6 +115,6 @@ def _extended(analysis: NominalAnalysis, known: Catalogue, fitted: JointFit) -> 
 
 
 def _is_unexplained(analysis: NominalAnalysis, best: JointFit) -> bool:
-    """Return whether the best effect alone leaves something that a smooth field explains."""
+    """Check whether a smooth field explains the residuals of the best single effect."""
     gain = analysis.noise.field_gain(analysis.hypothesis(best.fit))
     return gain is not None and gain > SETTINGS.joint_fits.left_over

@@ -1,17 +1,17 @@
-"""What is said to the user: no gap, an effect, a choice of effects, or none of these.
+"""The verdict reported to the user: no gap, an effect, a choice of effects, or none of these.
 
-The verdict is read off the probabilities. A hypothesis counts for its most probable effect; one
-without effects for "no gap", or for "none of these" where a smooth field is all there is. Where a
-field is needed beside effects, something acts that is not listed, of which these may be a mere
-likeness, the more probably the more of the evidence the field has: that counts for "none of these".
+The verdict follows from the probabilities. A hypothesis counts towards its most probable effect;
+one without effects counts towards "no gap", or "none of these" if it has a smooth field. If a field
+is needed in addition to effects, an unlisted cause acts, and the effects may only resemble it; the
+probability of that grows with the field's share of the evidence and counts as "none of these".
 
-1. No gap if that is the most probable cause. An effect that hides in the nominal parameters (see
-   `diagnosis.screening.detectability.hides`) has at least the probability that it had beside no
-   gap, and counts for it: these scans cannot show it, and it is neither accused nor acquitted.
-   Beside an effect that does not hide it counts for that one.
-2. None of these if that is.
-3. Else the effect, or, if more than one cause is needed to hold 90 % of the probability, what
-   cannot be told apart.
+1. No gap, if that is the most probable cause. An effect that hides in the nominal parameters (see
+   `diagnosis.screening.detectability.hides`) has at least its prior probability relative to no
+   gap, and counts towards it: these scans cannot show it, and it is neither accused nor acquitted.
+   Together with a visible effect it counts towards that effect.
+2. None of these, if that is the most probable cause.
+3. Otherwise the effect, or, if more than one cause is needed to reach 90 % of the probability, the
+   set of causes that cannot be told apart.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -44,30 +44,30 @@ class Verdict:
     ----------
     kind : {"no-gap", "effect", "cannot-be-told-apart", "none-of-these"}
     primary : tuple of str
-        The effects accused: of the most probable hypothesis with effects, the most probable
-        one first, others only if they are as probable as the 90 % set. Empty unless `kind` is
+        The accused effects of the most probable hypothesis with effects: the most probable one
+        first, others only if each has a probability of at least 90 %. Empty unless `kind` is
         "effect" or "cannot-be-told-apart".
     probabilities : dict of str to float
-        Of each effect acting, alone or with others; they need not sum to 1.
+        Probability that each effect acts, alone or with others; they need not sum to 1.
     no_gap, none_of_these : float
-        Probability of no gap that these scans could show, and of a cause that is not listed.
+        Probability of no gap that these scans could show, and of an unlisted cause.
     set90 : tuple of str
-        The fewest causes that hold 90 % of the probability, the most probable first. Effects
-        together count for the most probable of them; "no-gap" and "none-of-these" may be among
-        these.
+        The smallest set of causes with 90 % of the probability, the most probable first. Effects
+        acting together count as the most probable of them; "no-gap" and "none-of-these" may be
+        included.
     families : dict of str to float
         Probability that a member of the family acts.
     family : str or None
-        The family that all effects of `set90` belong to; None if they differ or are none.
+        The common family of the effects in `set90`; None if they differ or there are none.
     explained_share : float or None
-        Of the evidence that the best effect and a field on top of it gain, the part of the
-        effect; None without one.
+        The best effect's share of the evidence gained by it and an added field; None without an
+        effect.
     alarm : float
-        Log evidence of the best alternative against no gap.
+        Log Bayes factor of the best alternative against no gap.
     threshold : float
-        Where the best other cause would be as probable as no gap.
+        Value of `alarm` at which the best other cause would be as probable as no gap.
     hidden : tuple of str
-        Effects on which the data cannot speak.
+        Effects that the data cannot show.
     hypotheses : dict of Case to float
         Probability of each hypothesis, without and with a smooth field; sums to 1.
     """
@@ -98,9 +98,9 @@ def verdict(
     Parameters
     ----------
     hypotheses : sequence of Hypothesis
-        The one without effects and some with.
+        Including the one without effects.
     families : mapping of str to str
-        The family of every effect that was listed, tried or not.
+        The family of every listed effect, tried or not.
     hiding : collection of str
         Effects that the nominal parameters hide.
     odds : PriorOdds, optional
@@ -108,8 +108,8 @@ def verdict(
     Raises
     ------
     InputError
-        If the hypothesis without effects is missing, one comes twice, or an effect has no
-        family.
+        If the hypothesis without effects is missing, a hypothesis is repeated, or an effect has
+        no family.
     """
     _check(hypotheses, families)
     hidden = tuple(name for name in families if name in hiding)
@@ -159,18 +159,18 @@ def _check(hypotheses: Sequence[Hypothesis], families: Mapping[str, str]) -> Non
     unknown = {name for who in weighed for name in who} - set(families)
     if unknown or len(set(weighed)) < len(weighed) or frozenset() not in weighed:
         raise InputError(
-            "Weigh each hypothesis once, the one without effects among them, and give each "
+            "Pass each hypothesis once, including the one without effects, and give each "
             f"effect a family; found {len(weighed) - len(set(weighed))} repeated, "
             f"{weighed.count(frozenset())} without effects and no family of {sorted(unknown)}."
         )
 
 
 def _with_hidden(hypotheses: Sequence[Hypothesis], hidden: Sequence[str]) -> list[Hypothesis]:
-    """Return hypotheses of which effects that hide have at least the evidence of what hides them.
+    """Return the hypotheses, with the evidence of hidden effects no lower than without effects.
 
-    The constants take such an effect up, so a fit with it is as good as one without. The little
-    that they leave of it may speak for it, but not loudly enough to accuse it. Beside others it
-    has what its fit says.
+    The constants absorb a hidden effect, so a fit with it is as good as one without. The small
+    unabsorbed part may support it, but not strongly enough to accuse it. Combined with other
+    effects it keeps the evidence of its fit.
     """
     nothing = next(h for h in hypotheses if not h.effects)
     kept = [h for h in hypotheses if len(h.effects) != 1 or h.effects[0] not in hidden]
@@ -185,7 +185,7 @@ def _causes(
     acting: Mapping[str, float],
     hidden: Sequence[str],
 ) -> dict[str, float]:
-    """Return probability of each cause. Sums to 1."""
+    """Return the probability of each cause, summing to 1."""
     causes = {NO_GAP: 0.0, NONE_OF_THESE: 0.0}
     for (effects, field), p in cases.items():
         shown = [name for name in effects if name not in hidden]
@@ -198,7 +198,7 @@ def _causes(
 
 
 def _log_odds_of_a_gap(causes: Mapping[str, float]) -> float:
-    """Return those of the best other cause against no gap."""
+    """Return the log odds of the best other cause against no gap."""
     other = max(p for cause, p in causes.items() if cause != NO_GAP)
     return float(np.log(max(other, TINY)) - np.log(max(causes[NO_GAP], TINY)))
 
@@ -215,13 +215,13 @@ def _credible(causes: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def _best_named(cases: Mapping[Case, float], hidden: Sequence[str]) -> tuple[str, ...]:
-    """Return effects of the most probable hypothesis that has some; empty if none has."""
+    """Return the effects of the most probable hypothesis with effects; empty if there is none."""
     named = {case: p for case, p in cases.items() if case[0] and not set(case[0]) & set(hidden)}
     return max(named, key=lambda case: named[case])[0] if named else ()
 
 
 def _primary(effects: tuple[str, ...], cause: str, acting: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the most probable effect, and others that are hardly to be doubted."""
+    """Return the most probable effect, and others above the credible level."""
     if cause not in effects:
         return (cause,)
     others = sorted((n for n in effects if n != cause), key=lambda name: -acting[name])

@@ -1,20 +1,20 @@
-r"""The gap in mm: how far model and image differ beyond the noise.
+r"""The gap in mm: the difference between model and image beyond the noise.
 
-The mean square that a residual has beyond its noise,
+The mean square of a residual beyond its noise,
 
 .. math:: E = \overline{r_{fit}^2} - \overline{\mathrm{noise}^2},
 
-is without bias (`workers.diagnosis.algebra.linear_fit`), and its standard deviation s follows from
+is unbiased (`workers.diagnosis.algebra.linear_fit`), and its standard deviation s follows from
 
 .. math:: \mathrm{Var}(r'r) = 2\,\mathrm{tr}\,D^2 + 4\,m'Dm
 
-for a residual with mean m and covariance D. But noise alone makes E as large as s or minus s, and
-a gap of 0.1 mm is smaller than that. So where it is known how much even the right model misses,
-the floor, the squared gap is that of the floor and of what E has beyond chance,
+for a residual with mean m and covariance D. Noise alone makes E vary by about s, which exceeds a
+gap of 0.1 mm. If the error of even the true model is known (the floor G_0), the squared gap is the
+squared floor plus the part of E beyond chance,
 
 .. math:: G^2 = G_0^2 + \frac{E_+^3}{E^2 + (2 s)^2},
 
-half of E where it is twice s: a smooth form of the garrote of L. Breiman, Technometrics 37 (1995)
+which is half of E if E is 2 s: a smooth form of the garrote of L. Breiman, Technometrics 37 (1995)
 373. Without a floor it is the positive part of E.
 """
 
@@ -32,22 +32,22 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Root mean square distance between model and image, noise taken off.
+    """Root mean square distance between model and image, with the noise subtracted.
 
     Parameters
     ----------
     gap_mm : float
-        The floor, if there is one, where the residual is no larger than noise.
+        Equal to the floor, if any, where the residual is no larger than the noise.
     low_mm, high_mm : float
         Interval.
     excess_mm2 : float
-        Mean square of the residual beyond its noise: may be negative, and averages rightly.
+        Mean square of the residual beyond its noise; may be negative, and can be averaged.
     sd_mm2 : float
-        Of `excess_mm2`.
+        Standard deviation of `excess_mm2`.
     noise_mm : float
-        Root mean square of the noise of the observation.
+        Root mean square of the observation noise.
     points : int
-        Residuals that were averaged over.
+        Number of residuals averaged.
     """
 
     gap_mm: float
@@ -60,17 +60,17 @@ class Gap:
 
 
 def gap(fit: LinearFit, rows: BoolArray | None = None, floor_mm: float = 0.0) -> Gap:
-    """Return the gap of a fit over some of its residuals.
+    """Return the gap of a fit over a subset of its residuals.
 
     Parameters
     ----------
     fit : LinearFit
     rows : ndarray of bool, shape (judged,), optional
-        A region, an interface or a state; all.
+        A region, an interface or a state; by default all.
     floor_mm : float
-        Gap that the calibrated model shows on images of its own for reasons that are not in
-        the linearised noise, such as another mesh; added in quadrature, and to the ends of
-        the interval as much of it as `floor_range` of the settings says.
+        Gap of the calibrated model on images of its own, from causes outside the linearised
+        noise such as another mesh. Added in quadrature; the ends of the interval use the parts
+        given by `floor_range` of the settings.
 
     Raises
     ------
@@ -93,9 +93,9 @@ def gap(fit: LinearFit, rows: BoolArray | None = None, floor_mm: float = 0.0) ->
 
 
 def pooled(parts: Sequence[Gap], floor_mm: float = 0.0) -> Gap:
-    """Return one gap of several, each with its part of the points, maybe of different fits.
+    """Return the pooled gap of several sets of points, possibly of different fits.
 
-    Their errors are taken for one and the same: all share the reference scan.
+    Their errors are assumed fully correlated, as all share the reference scan.
     """
     n = np.array([part.points for part in parts], dtype=np.float64)
     excess, sd, noise2 = (
@@ -108,9 +108,9 @@ def pooled(parts: Sequence[Gap], floor_mm: float = 0.0) -> Gap:
 
 
 def without_effect(before: Gap, after: Gap, floor_mm: float = 0.0) -> Gap:
-    """Return the gap of a model that lacks an effect, beside that of the model that has it.
+    """Return the gap of a model without an effect, relative to the gap of the model with it.
 
-    Noise cancels in the difference of their squares, which is known far better than either.
+    Noise cancels in the difference of their squares, so it is far more precise than either.
     """
     beyond = credited(after.excess_mm2, after, floor_mm)
     square = float(beyond) + before.excess_mm2 - after.excess_mm2
@@ -118,15 +118,15 @@ def without_effect(before: Gap, after: Gap, floor_mm: float = 0.0) -> Gap:
 
 
 def credited(excess_mm2: FloatArray | float, of: Gap, floor_mm: float) -> FloatArray:
-    """Return what the mean square of a residual has beyond its noise and beyond chance, in mm2.
+    """Return the part of an excess mean square that is beyond chance, in mm2.
 
     Parameters
     ----------
     excess_mm2 : float or ndarray
     of : Gap
-        Whose standard deviation and noise `excess_mm2` has.
+        The gap with the standard deviation and noise of `excess_mm2`.
     floor_mm : float
-        Without one, the positive part of the excess is credited whole.
+        If zero, the positive part of the excess is credited in full.
     """
     positive = np.maximum(excess_mm2, 0.0)
     if not floor_mm:
@@ -141,7 +141,7 @@ def _gap(excess: float, sd: float, noise_mm: float, points: int, floor_mm: float
 
 
 def _between(of: Gap, square_mm2: float, floor_mm: float) -> Gap:
-    """Return the gap with a square beyond the floor, and the interval around it."""
+    """Return the gap with the given square beyond the floor, and its interval."""
     least, most = SETTINGS.gap.floor_range
     reach = float(ndtri(0.5 + SETTINGS.gap.level / 2)) * _whole_sd(of, floor_mm)
     low, high = min(square_mm2, of.excess_mm2) - reach, max(square_mm2, of.excess_mm2) + reach
@@ -153,13 +153,13 @@ def _between(of: Gap, square_mm2: float, floor_mm: float) -> Gap:
 
 
 def _whole_sd(of: Gap, floor_mm: float) -> float:
-    """Return that of the excess; where gaps have a floor, noise is not known exactly either."""
+    """Return the standard deviation of the excess; with a floor, noise is uncertain too."""
     wrong = SETTINGS.gap.noise_variance_sd * of.noise_mm**2 if floor_mm else 0.0
     return float(np.hypot(of.sd_mm2, wrong))
 
 
 def _sd_of_mean_square(r: FloatArray, D: FloatArray) -> float:
-    """Return that of ``r'r / n``; unknown ``m'Dm`` follows from ``E r'Dr = m'Dm + tr D^2``."""
+    """Return the standard deviation of ``r'r / n``, using ``E r'Dr = m'Dm + tr D^2`` for m'Dm."""
     spread = float(np.vdot(D, D))
     systematic = max(0.0, float(r @ D @ r) - spread)
     return float(np.sqrt(2.0 * spread + 4.0 * systematic)) / len(r)

@@ -1,13 +1,13 @@
-"""How far models are from the body, averaged over all that may be the cause.
+"""Posterior of the distance between models and the body, averaged over all possible causes.
 
-A hypothesis says where the body is: where its fit puts the interfaces, and around that a normal
-posterior of its constants and effects, of their errors of form, and of a smooth field where one is
-beside them. How far another model is from there is what that misses if the hypothesis is true.
-Drawn over all hypotheses as often as they are probable, and over the noise as it may be, these
-distances are the posterior of the gap (J. A. Hoeting et al., Stat. Sci. 14 (1999) 382). So a cause
-that is doubted does not lend its gap, or what it takes away, to a diagnosis that may be another.
+A hypothesis predicts the position of the body: the interfaces of its fit, with a normal posterior
+of its constants and effects, their errors of form and, if included, a smooth field. The distance of
+another model from there is the error of that model if the hypothesis is true. Drawn in proportion
+to the probabilities of the hypotheses and over the possible noise, these distances are the
+posterior of the gap (J. A. Hoeting et al., Stat. Sci. 14 (1999) 382). An uncertain cause therefore
+contributes only in proportion to its probability.
 
-Where scans lie and how large their labels are drawn is integrated over and is no gap.
+Poses of the scans and the bias of their contours are integrated out and do not count as a gap.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -35,11 +35,11 @@ class GapDraws:
     Parameters
     ----------
     before : ndarray, shape (m, n)
-        Of the nominal model: signed, in mm, of each residual in each draw.
+        Signed distances of the nominal model in mm, for each residual and draw.
     after : ndarray, shape (m, n), or None
-        Of the accused effects; None if there are none.
+        With the accused effects; None if there are none.
     floors_mm : ndarray, shape (n,)
-        What every model misses beside that, drawn too.
+        Drawn errors common to all models.
     """
 
     before: FloatArray
@@ -53,7 +53,7 @@ class GapDraws:
 
     @property
     def after_mm(self) -> FloatArray | None:
-        """The same of the accused effects."""
+        """Root mean square distance with the accused effects in each draw, shape (n,)."""
         return None if self.after is None else self._root_mean_square(self.after)
 
     def _root_mean_square(self, distances: FloatArray) -> FloatArray:
@@ -67,20 +67,20 @@ def draw_gaps(
     accused: Fit | None,
     floor_mm: float,
 ) -> GapDraws:
-    """Draw how far the nominal model, and one with the accused effects, may be from the body.
+    """Draw distances of the nominal model, and of one with the accused effects, from the body.
 
     Parameters
     ----------
     analysis : NominalAnalysis
     fits : mapping of tuple of str to Fit
-        Of the effects that were fitted together with the constants.
+        Joint fits of effects and constants.
     probabilities : mapping of Case to float
-        Of each hypothesis. One whose effects were not fitted is taken for a smooth field, or, if
-        the constants hide them, for the nominal model.
+        Probability of each hypothesis. One whose effects were not fitted counts as a smooth field
+        or, if the constants hide them, as the nominal model.
     accused : Fit or None
         One of `fits`.
     floor_mm : float
-        What every model misses beside that: the mesh, and the body as it was segmented.
+        Error common to all models, from the mesh and the segmentation of the body.
     """
     settings = SETTINGS.gap
     rng = np.random.default_rng(settings.seed)
@@ -107,7 +107,7 @@ def _of_fitted(
     hidden: set[str],
     has_field: bool,
 ) -> dict[Case, float]:
-    """Return the probability of each hypothesis that a fit stands for, but the improbable ones'."""
+    """Return the probability of each fitted hypothesis, without the improbable ones."""
     found: dict[Case, float] = {}
     for (names, field), probability in probabilities.items():
         stands = (names, field)
@@ -119,16 +119,16 @@ def _of_fitted(
 
 
 def _shared_out(draws: int, weights: FloatArray) -> list[int]:
-    """Return how many draws each gets: in proportion, rounded so that none is lost."""
+    """Split the draws in proportion to the weights, rounded so that their sum is kept."""
     ends = np.rint(draws * np.cumsum(weights) / weights.sum()).astype(int)
     return np.diff(ends, prepend=0).tolist()
 
 
 class _Beliefs:
-    """Where a hypothesis believes the body to be, as residuals of a model that is there.
+    """Position of the body under a hypothesis, as the residuals of a model at that position.
 
-    A mixture of normal distributions: of states of the noise, of how far scans lie off, of the
-    size of the errors of form, and of the length and amplitude of a smooth field.
+    A mixture of normal distributions over noise states, pose scales, sizes of the errors of form,
+    and lengths and amplitudes of a smooth field.
     """
 
     def __init__(self, analysis: NominalAnalysis, at: Fit, acts: bool, field: bool) -> None:
@@ -146,7 +146,7 @@ class _Beliefs:
                 self._parts.append(_Part(wide, scaled, factors, logs.ravel()))
 
     def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Return residuals of a model that is where the body is, shape (m, count), in mm."""
+        """Draw residuals of a model that coincides with the body, shape (m, count), in mm."""
         chances = softmax(np.concatenate([part.logs for part in self._parts]))
         counts = rng.multinomial(count, chances)
         ends = np.cumsum([len(part.logs) for part in self._parts])
@@ -156,7 +156,7 @@ class _Beliefs:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """Normal distributions of the same columns, which are larger by factors, (p,)."""
+    """Normal distributions with the same columns, scaled by factors of shape (p,)."""
 
     at: LinearHypothesis
     q: Quadratic
@@ -164,7 +164,7 @@ class _Part:
     logs: FloatArray
 
     def draw(self, which: int, count: int, rng: np.random.Generator) -> FloatArray:
-        """Return `count` draws of one of them, shape (m, count); poses have no part in it."""
+        """Return `count` draws of one distribution without the poses, shape (m, count)."""
         p, offset = len(self.factors), self.at.offset
         one = Quadratic(
             self.q.misfit.ravel()[which],
@@ -180,10 +180,10 @@ class _Part:
 
 
 def _within_bounds(z: FloatArray, covariance: FloatArray, within: Sides) -> FloatArray:
-    """Return draws (p, n), each parameter in turn taken to its edge where it is beyond.
+    """Move each parameter of the draws (p, n) in turn back to its bound where it is beyond.
 
-    All others go where they are expected then: moved alone, one would leave what the scans say of
-    them together. Where the next ones move an earlier one beyond, it stays there: a little.
+    The other parameters move to their conditional means, to preserve their correlation. A
+    parameter that a later move pushes slightly beyond its bound stays there.
     """
     for j in np.flatnonzero(within.side):
         inward = within.side[j]
@@ -195,7 +195,7 @@ def _within_bounds(z: FloatArray, covariance: FloatArray, within: Sides) -> Floa
 def _sizes(
     wide: LinearHypothesis, errors: FloatArray, field: FloatArray, amplitudes_mm: Sequence[float]
 ) -> Iterator[tuple[float, FloatArray]]:
-    """Yield the sizes that errors of form and a field may have: log prior and factors, (p,)."""
+    """Yield the log prior and the factors (p,) of each size of errors of form and field."""
     e, f, p = errors.shape[1], field.shape[1], wide.columns.shape[1]
     of_errors = zip(SETTINGS.form.relative_sds, log_prior_of_sizes(), strict=True)
     for size, log_prior in of_errors if e else [(1.0, 0.0)]:
@@ -204,7 +204,7 @@ def _sizes(
 
 
 def _some(counts: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
-    """Yield place and number of those that are drawn at all."""
+    """Yield index and value of the nonzero counts."""
     return ((n, int(count)) for n, count in enumerate(counts) if count)
 
 

@@ -1,9 +1,8 @@
-"""Where the parameters of a joint fit lie, averaged over what is not known of noise and poses.
+"""Posterior of the parameters of a joint fit, averaged over uncertain noise and poses.
 
-A fit is made with one noise, and with scans that may lie as far off as is stated. Where they are
-seen to lie nearer, an effect that moves a body as a pose does is larger than that fit has it. The
-mean is one step of Newton's method away for each noise and each size of the poses, and these are
-weighed as the evidence weighs them.
+A fit assumes one noise state and the stated prior for the poses. If the actual pose errors are
+smaller, the fit underestimates an effect that moves the body as a pose does. The mean for each
+noise state and pose scale is one Newton step away, and these means are weighted by their evidence.
 """
 
 from typing import NamedTuple
@@ -25,9 +24,9 @@ class ParameterPosterior(NamedTuple):
 
 
 def parameter_posterior(noise: NoiseModel, at: LinearHypothesis, u: Unknowns) -> ParameterPosterior:
-    """Return the posterior of the unknowns of a fit, `at` which the model is linear.
+    """Return the posterior of the unknowns of a fit, linearised `at` that fit.
 
-    None is beyond its bounds.
+    The means are clipped to the bounds.
     """
     p = len(u.sd)
     q = with_pose_scales(noise.plain(noise.products(at.columns, at.residual)), at.is_pose)

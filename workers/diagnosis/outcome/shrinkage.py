@@ -1,19 +1,19 @@
-r"""How much of the gap an effect takes away: ``1 - G_with^2 / G_nominal^2``.
+r"""Share of the squared gap that an effect removes: ``1 - G_with^2 / G_nominal^2``.
 
-The interval is a parametric bootstrap in the linearised model. Its truth is what the
-fits found: the systematic part of the residual with the effect, scaled to the size that
-its gap has, plus what the effect changed. Noise of covariance C is drawn around it, the floor
-from its range, and how much noise is to be taken off; both models are fitted again, and the
-shares of all draws are ranked.
-It is a little wide for the share of one image, which moves along with its estimate.
+The interval is a parametric bootstrap in the linearised model. Its truth comes from the fits: the
+systematic part of the residual with the effect, scaled to the size of its gap, plus the change due
+to the effect. Each draw adds noise of covariance C, a floor from its range and an error of the
+noise variance; both models are refitted, and the interval is read from the quantiles of the shares.
+It is slightly wide for the share of one image, which varies together with its estimate.
 
-Fitted to some states and judged by the others, the same number is the held-out share. With
-each state judged by a fit to the others, all of them are seen, and none by its own fit (the
-cross-validation of M. Stone, J. R. Stat. Soc. B 36 (1974) 111). Where the others do not hold what
-moves a state, the linear model would carry it anywhere: such a state is not judged.
+Fitted to some states and assessed on the others, the same number is the held-out share. Leaving
+out each state in turn assesses all of them, none by its own fit (cross-validation, M. Stone, J. R.
+Stat. Soc. B 36 (1974) 111). If the other states do not constrain a state, the linear model would
+extrapolate too far, and that state is not assessed.
 
-The noise cancels in the difference of both squares, which is known far better than either. So
-the square before is the one after, as `diagnosis.outcome.gap` credits it, plus that difference.
+The noise cancels in the difference of both squares, which is far more precise than either. The
+square before is therefore the square after, as credited by `diagnosis.outcome.gap`, plus that
+difference.
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ class Shrinkage:
     low, high : float
         Interval; nan without a gap.
     before, after : Gap
-        Without and with the effect.
+        Gap without and with the effect.
     """
 
     share: float
@@ -57,7 +57,7 @@ class Shrinkage:
 
 
 class _Draws(NamedTuple):
-    """Noise of the residuals (m, n); errors of its variance and parts of the floor, (n,)."""
+    """Noise of the residuals (m, n); errors of its variance and factors of the floor, (n,)."""
 
     noise: FloatArray
     wrong: FloatArray
@@ -65,33 +65,33 @@ class _Draws(NamedTuple):
 
 
 class Comparison:
-    """The fit of the nominal parameters beside one that has the effect too.
+    """Comparison of the nominal fit with one that includes the effect.
 
-    What all comparisons of them share, above all the draws of the noise, is made once.
+    Quantities shared by all comparisons, above all the draws of the noise, are computed once.
 
     Parameters
     ----------
     nominal : Linearised
         At the nominal fit.
     effect : Linearised
-        At the fit with the effect, whose parameters are among its nominal ones. Same
+        At the fit with the effect, whose parameters are added to the nominal ones; with the same
         points, states and noise.
     seed : int
         The same seed gives the same interval.
     floor_mm : float
         As for `workers.diagnosis.outcome.gap.gap`.
     judged : ndarray of bool, shape (m,), optional
-        Residuals that are distances; all.
+        Residuals that are distances; by default all.
     registered : int
-        So many parameters, the last of both fits, say where the scans lie: the fit with the
-        effect to all residuals sets them in both.
+        Number of pose parameters, the last ones of both fits. Both use the values from the fit
+        with the effect to all residuals.
     draws : int
-        Of the bootstrap, >= 20.
+        Number of bootstrap draws, >= 20.
 
     Raises
     ------
     InputError
-        If the fits have not the same residuals, or `draws` is too small.
+        If the fits have different residuals, or `draws` is too small.
     """
 
     def __init__(
@@ -121,25 +121,25 @@ class Comparison:
         Parameters
         ----------
         train, judge : ndarray of bool, shape (m,), optional
-            Residuals to fit to and to judge by; all, which is the in-sample share.
+            Residuals to fit and to assess; by default all, which gives the in-sample share.
         """
         return self._compared([self._pair(train, self.judged if judge is None else judge)])
 
     def unseen(self, states: IntArray) -> tuple[Shrinkage | None, list[Shrinkage | None]]:
-        """Return the share of fits that never saw what they are judged by, and of each of them.
+        """Return the held-out share of all states together and of each state.
 
-        None stands for a state that a fit to the others moves further than the linear model
-        holds, `unseen_reach` of the settings; without any that is judged, for all together.
+        It is None for a state that the fit to the others moves beyond the range of the linear
+        model (`unseen_reach` of the settings), and for the total if no state can be assessed.
 
         Parameters
         ----------
         states : ndarray of int, shape (m,)
-            Two or more; each is judged by a fit to the others, and all are taken together.
+            Two or more different states; each is assessed by a fit to the others.
 
         Raises
         ------
         InputError
-            If there is one state only.
+            If there is only one state.
         """
         every = np.unique(states)
         if len(every) < 2:
@@ -151,14 +151,14 @@ class Comparison:
         return self._compared(judged) if judged else None, each
 
     def _holds(self, pair: Pair) -> bool:
-        """Return whether fits move what they are judged by as little as a linear model may."""
+        """Check whether the fits move the assessed residuals within the range of linearity."""
         limit = SETTINGS.gap.unseen_reach**2 * (self.nominal.residual[pair[0].judge] ** 2).mean()
         return all(
             ((fit.residual - fit.problem.residual[fit.judge]) ** 2).mean() <= limit for fit in pair
         )
 
     def _pair(self, train: BoolArray | None, judge: BoolArray | None) -> Pair:
-        """Return the fits of both, with the scans where the whole fit with the effect puts them."""
+        """Return both fits, with the poses of the fit with the effect to all residuals."""
         both, count = (self.nominal, self.effect), self.registered
         where = [
             Registration.by(self._whole, count, fit.residual) if count else None for fit in both
@@ -170,7 +170,7 @@ class Comparison:
         return without, along
 
     def _compared(self, pairs: Sequence[Pair]) -> Shrinkage:
-        """Compare fits without and with the effect, each judged by its part of the residuals."""
+        """Compare fits without and with the effect, each on its part of the residuals."""
         without, along = zip(*pairs, strict=True)
         before, after = (pooled([gap(f) for f in fits], self.floor_mm) for fits in (without, along))
         before = without_effect(before, after, self.floor_mm)
@@ -207,9 +207,9 @@ class Comparison:
 
     @cached_property
     def _without_noise(self) -> tuple[FloatArray, FloatArray]:
-        """Residuals of both models on an image without noise, as far as the data know.
+        """Estimated residuals of both models on an image without noise.
 
-        What the effect leaves is noise but for a part of the size of the gap that is left.
+        The residual with the effect is noise except for a part as large as the remaining gap.
         """
         left = self._whole.residual
         square = max(float((left**2).mean()), np.finfo(float).tiny)
@@ -219,7 +219,7 @@ class Comparison:
 
 
 def _excess(fits: Sequence[LinearFit], mean: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return that of every draw, over all that is judged."""
+    """Return the excess of each bootstrap draw, over the residuals being assessed."""
     sums = [
         (fit.after(mean[:, None] + noise) ** 2).sum(axis=0) - fit.noise_mm2.sum() for fit in fits
     ]
@@ -227,7 +227,7 @@ def _excess(fits: Sequence[LinearFit], mean: FloatArray, noise: FloatArray) -> F
 
 
 def parts_of_floor(rng: np.random.Generator, draws: int) -> FloatArray:
-    """Draw parts of the floor: log-normal, nine in ten within their range."""
+    """Draw factors of the floor: log-normal, with 90 % in their range."""
     ends = np.log(SETTINGS.gap.floor_range)
     return np.asarray(np.exp(rng.normal(ends.mean(), np.ptp(ends) / 2 / ndtri(0.95), draws)))
 

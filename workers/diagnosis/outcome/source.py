@@ -1,4 +1,4 @@
-"""Where an inverse problem comes from: a case, a study or an experiment."""
+"""Sources of an inverse problem: a case, a study or an experiment."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,18 +22,18 @@ from palpate.workers.scan_threads import Each
 
 @dataclass(frozen=True, eq=False)
 class SourceContent:
-    """All that a source is made of: what enters the store, and from which it is made again.
+    """The content of a source as kept in the store, from which it can be recreated.
 
     Parameters
     ----------
     kind : str
-        Which class makes it again; see `workers.tasks.sources`.
+        The class that recreates it; see `workers.tasks.sources`.
     record : mapping
-        What JSON holds: the words and numbers of its files.
+        The text and numbers of its files, as JSON.
     volumes : mapping of str to Volume
         Its scans.
     arrays : mapping of str to ndarray
-        What else it has measured.
+        Its other measurements.
     """
 
     kind: str
@@ -44,21 +44,21 @@ class SourceContent:
 
 @dataclass(frozen=True, eq=False)
 class FinishedStudy:
-    """What a study that has run says and has in its store.
+    """Statements and stored results of a finished study.
 
     Parameters
     ----------
     name : str
     case, target, score : mapping
-        As the study states them.
+        As stated in the study.
     parameters : mapping of str to (float, float)
-        Searched intervals, names and units of the door.
+        Searched intervals, in external names and units.
     best : mapping of str to float
-        Searched parameters of the best candidate, the same; empty if there is none.
+        Searched parameters of the best candidate, likewise; empty if there is none.
     reference, deformed
-        The body at rest and the one to be explained, as its organ has it.
+        The body at rest and the observed deformed body, in the representation of the organ.
     caveats : tuple of str
-        Statements with which every result of the study begins.
+        Statements shown first in every result of the study.
     """
 
     name: str
@@ -73,24 +73,24 @@ class FinishedStudy:
 
 
 class HasContent(Protocol):
-    """Something that can enter a store."""
+    """An object that can be kept in a store."""
 
     @property
     def content(self) -> SourceContent:
-        """All that it is made of."""
+        """The complete content."""
 
 
 class PlannedSource(HasContent, Protocol):
-    """Something that can be planned before it is scanned under load."""
+    """A source that can be planned before it is scanned under load."""
 
     @property
     def acquisition(self) -> Acquisition:
-        """What is known before the loaded scans."""
+        """Information available before the loaded scans."""
 
 
 @runtime_checkable
 class Checkable(Protocol):
-    """A source that can refuse its data."""
+    """A source that can check its data."""
 
     def check(self) -> None:
         """See `Source.check`."""
@@ -102,34 +102,34 @@ class PressedSource(Protocol):
 
     @property
     def pressed(self) -> Mapping[str, Pressed]:
-        """How the plates press it in each loaded scan, by name."""
+        """Compression by the plates in each loaded scan, by name."""
 
     @property
     def segmentation_noise(self) -> SegmentationNoise:
-        """What its segmentations err by."""
+        """Errors of its segmentations."""
 
 
 @runtime_checkable
 class PreparedSource(Protocol):
-    """A source of which parts can be made apart, before anything is fitted."""
+    """A source with parts that can be prepared separately, before anything is fitted."""
 
     @property
     def preparations(self) -> Sequence[str]:
-        """Names of what `prepare` can make, the longest first.
+        """Names of the parts that `prepare` can make, the slowest first.
 
         See `workers.diagnosis.problem.preparation`.
         """
 
     def prepare(self, name: str, spacing_mm: float) -> Prepared:
-        """Make one of them, for points `spacing_mm` apart."""
+        """Prepare one part, for points `spacing_mm` apart."""
 
 
 class Source(HasContent, Protocol):
-    """Something that was imaged or measured, with a model of it."""
+    """An imaged or measured object with a model of it."""
 
     @property
     def name(self) -> str:
-        """As its owner calls it."""
+        """The name given by the user."""
 
     @property
     def scans(self) -> Sequence[str]:
@@ -137,15 +137,15 @@ class Source(HasContent, Protocol):
 
     @property
     def effects(self) -> Sequence[Effect]:
-        """Catalogue of what may be missing from the model."""
+        """Catalogue of effects that may be missing from the model."""
 
     def check(self) -> None:
-        """See whether the data can be one body in several states, before anything is fitted.
+        """Check that the data can show one body in several states, before anything is fitted.
 
         Raises
         ------
         InputError
-            Saying what was found, what was expected and what to change.
+            With the value found, the value expected and what to change.
         """
 
     def inverse_problem(
@@ -158,16 +158,16 @@ class Source(HasContent, Protocol):
         nodes : int
         spacing_mm : float
         prepared : callable, optional
-            Gives what `PreparedSource.prepare` has made; without it, it is made here.
+            Returns a part made by `PreparedSource.prepare`; by default it is made here.
 
         Raises
         ------
         InputError
-            If there is nothing to mesh or nothing to compare.
+            If there is no body to mesh or no data to compare.
         """
 
     def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> Model | None:
-        """Return another mesh of the same body, to see what the mesh adds; None if known."""
+        """Return a finer mesh to estimate the mesh error; None if that error is known."""
 
     def describe(
         self,
@@ -177,7 +177,7 @@ class Source(HasContent, Protocol):
         prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
-        """Return what the report draws of the bodies, and the summary with the source's rows.
+        """Return the arrays for the report's pictures, and the summary with the source's rows.
 
         Parameters
         ----------
@@ -187,7 +187,7 @@ class Source(HasContent, Protocol):
         summary : Summary
             Of the diagnosis, without these rows.
         prepared : callable
-            Gives what `PreparedSource.prepare` has made.
+            Returns a part made by `PreparedSource.prepare`.
         each : callable
-            Calls a function with every item; see `workers.scan_threads`.
+            Applies a function to every item; see `workers.scan_threads`.
         """

@@ -1,4 +1,4 @@
-"""A diagnosis turned into plain numbers; see `diagnosis.schema.summary` for their schema."""
+"""Summary of a diagnosis in plain numbers; see `diagnosis.schema.summary` for the schema."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -37,12 +37,12 @@ from palpate.workers.mechanics.effects.base import Effect, one_sided
 from palpate.workers.mechanics.parameters import Parameter
 from palpate.workers.mechanics.readings import shown
 
-# Of the normal distribution: nine in ten are within so many standard deviations.
+# Standard deviations of a normal distribution on either side of the mean that hold 90 %.
 DEVIATIONS_90 = 1.6449
 
 
 def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Summary:
-    """Turn a diagnosis into plain numbers.
+    """Summarise a diagnosis in plain numbers.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Sum
     effects : sequence of Effect
         The catalogue.
     case : str
-        Its name.
+        Name of the case.
     """
     reached, analysis = diagnosis.verdict, diagnosis.analysis
     acting, registered = analysis.sensitivity_by_name, _registered(diagnosis)
@@ -78,7 +78,7 @@ def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Sum
 
 
 def _noise(inverse: InverseProblem) -> tuple[InterfaceNoise, ...] | None:
-    """Return how exactly each interface is drawn; None where noise was measured."""
+    """Return the segmentation noise of each interface; None if the noise was measured."""
     if inverse.learnt is None or not inverse.is_segmented:
         return None
     parts, stated = inverse.learnt.parts, inverse.noise.sd_mm
@@ -116,7 +116,7 @@ def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
 def _parameters(
     diagnosis: Diagnosis, effect: Effect, names: tuple[str, ...]
 ) -> list[ParameterEstimate]:
-    """Return the parameters of the joint fit of `names`; without one, those of the screening.
+    """Return the parameters from the joint fit of `names` or else from the screening.
 
     Positions are in the coordinates of the scans.
     """
@@ -150,7 +150,7 @@ def _parameters(
 def _estimate_of(
     parameter: Parameter, value: float, sd: float, nu: float | None, *, is_size: bool
 ) -> ParameterEstimate:
-    """Return a parameter at the door; the place of an effect has no neutral value."""
+    """Return a parameter in external units; the place of an effect has no neutral value."""
     unit = parameter.unit
     at_door, spread = unit.to_door(value), unit.to_door(sd)
     neutral = unit.to_door(parameter.neutral or 0.0)
@@ -162,7 +162,7 @@ def _estimate_of(
 
 
 def _poissons_ratio(diagnosis: Diagnosis) -> float | None:
-    """Return the nominal nu; None where tissues differ or the problem has none."""
+    """Return the nominal nu; None if tissues differ or the problem has none."""
     analysis = diagnosis.analysis
     problem = analysis.inverse.scans[0].problem(analysis.nominal.values())
     tissues = getattr(problem, "constants", {}).values()
@@ -216,7 +216,7 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
 
 
 def _distances_mm(inverse: InverseProblem, fit: Fit) -> tuple[float, float]:
-    """Return how far the scans are from a fit and from the body at rest; see `GapSummary`."""
+    """Return the distances of the scans from a fit and from the body at rest; see `GapSummary`."""
     rest = [
         scan.compare(inverse.followed(scan).points, inverse.points)[0] for scan in inverse.scans
     ]
@@ -239,15 +239,15 @@ def _interval(draws: FloatArray) -> tuple[float, float]:
 
 
 def known_shares(found: GapSummary, set90: Sequence[str]) -> GapSummary:
-    """Leave the shares out where there may be no gap: nobody knows by what part that shrinks."""
+    """Omit the shares if there may be no gap, as its shrinkage is then undefined."""
     return replace(found, share=None, held_out_share=None) if NO_GAP in set90 else found
 
 
 def _registered(diagnosis: Diagnosis) -> LinearFit:
-    """Return the nominal fit with the scans where the most probable cause puts them.
+    """Return the nominal fit with the poses of the scans from the most probable cause.
 
-    Where something unlisted acts, that is a smooth field; a tilted plate would otherwise be
-    taken for a scan that is turned.
+    For an unlisted cause this is a smooth field; otherwise a tilted plate would be mistaken for a
+    rotated scan.
     """
     analysis = diagnosis.analysis
     inverse, nominal = analysis.inverse, analysis.linear_with_poses
@@ -273,7 +273,7 @@ def _registered(diagnosis: Diagnosis) -> LinearFit:
 def _with_held_out(
     inside: GapSummary, inverse: InverseProblem, comparison: Comparison
 ) -> GapSummary:
-    """Add the gap of each scan as judged by a fit to the others."""
+    """Add the gap of each scan for a fit to the others."""
     if len(inverse.scans) < 2:
         return replace(inside, held_out="one scan only")
     whole, parts = comparison.unseen(inverse.rows)
@@ -293,10 +293,10 @@ def _with_held_out(
 
 
 def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
-    """Return what even the right model misses; without it, gaps near zero come out too small.
+    """Return the error of even the true model; without it, gaps near zero would be too small.
 
-    The noise that was fitted; what the mesh leaves, as large as what a finer one has taken
-    off; that the body is meshed as it was segmented; and some more, which nobody can count.
+    It combines the fitted noise, the remaining mesh error (taken equal to the correction by a finer
+    mesh), the segmentation error of the meshed body, and a factor for unknown contributions.
     """
     fitted = LinearFit(nominal, judge=inverse.is_place)
     whole = np.hypot(fitted.floor_mm, _meshed_mm(inverse))
@@ -304,7 +304,7 @@ def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
 
 
 def _meshed_mm(inverse: InverseProblem) -> float:
-    """Return what every model misses that can be counted: mesh, and body as it was segmented."""
+    """Return the known error common to all models: mesh and segmentation of the body."""
     mesh = np.sqrt((inverse.bias[inverse.is_place] ** 2).mean())
     drawn = SETTINGS.gap.drawn_noises * inverse.noise.reference_sd_mm
     return float(np.hypot(mesh, drawn))
@@ -354,10 +354,10 @@ def _at_door(free: FreeConstant, ends: tuple[float, float] | None) -> tuple[floa
 
 
 def _intervals(diagnosis: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:
-    """Return the 90 % intervals of the constants of a fit, inside units.
+    """Return the 90 % intervals of the constants of a fit, in internal units.
 
-    They reach over both the optimum of the fit and the mean of the posterior, which averages over
-    what is not known of noise and poses.
+    They cover both the optimum of the fit and the mean of the posterior, which averages over
+    uncertain noise and poses.
     """
     analysis = diagnosis.analysis
     posterior = parameter_posterior(analysis.noise, analysis.hypothesis(fit), fit.unknowns)

@@ -1,4 +1,4 @@
-"""The part of a diagnosis that only bench experiments have: points, forces, states to come."""
+"""Parts of a diagnosis specific to bench experiments: points, forces, predicted states."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,9 +8,9 @@ from palpate.storage.values import Triple
 
 @dataclass(frozen=True, slots=True)
 class MarkerResidual:
-    """What a point of a specimen has done, along x, y and z of the body.
+    """Displacement of a point of a specimen along x, y and z of the body.
 
-    `before_mm` and `after_mm` are what the models leave of it.
+    `before_mm` and `after_mm` are the residuals of the models.
     """
 
     name: str
@@ -21,7 +21,7 @@ class MarkerResidual:
 
 @dataclass(frozen=True, slots=True)
 class Reaction:
-    """The force on a region along an axis, and how surely it is known."""
+    """The force on a region along an axis, with its standard deviation."""
 
     region: str
     axis: str
@@ -30,13 +30,13 @@ class Reaction:
 
     @property
     def place(self) -> str:
-        """Where it acts, as a reader is told."""
+        """The location and direction of the force, in words."""
         return f"{self.region} along {self.axis}"
 
 
 @dataclass(frozen=True, slots=True)
 class ReactionResidual(Reaction):
-    """A force as it was read, with what the models leave of it."""
+    """A measured force with the residuals of the models."""
 
     before_n: float
     after_n: float | None
@@ -44,7 +44,7 @@ class ReactionResidual(Reaction):
 
 @dataclass(frozen=True, slots=True)
 class MarkerState:
-    """All points of one state; `repeats_mm` is how far two recordings differ, None for one."""
+    """All points of one state; `repeats_mm` is the distance of two recordings, None for one."""
 
     state: str
     repeats_mm: float | None
@@ -57,7 +57,7 @@ class MarkerState:
 
 @dataclass(frozen=True, slots=True)
 class ConfoundedEffect:
-    """The constants in kPa, ``without`` and ``with`` an effect of that size that they hide."""
+    """The constants in kPa, ``without`` and ``with`` a hidden effect of the given size."""
 
     name: str
     size: Mapping[str, float]
@@ -69,7 +69,7 @@ class ConfoundedEffect:
 
 @dataclass(frozen=True, slots=True)
 class PredictedPoint:
-    """Where a point is expected to go, along x, y and z of the body, and how surely."""
+    """Predicted displacement of a point along x, y and z of the body, with standard deviations."""
 
     name: str
     displacement_mm: Triple
@@ -78,7 +78,7 @@ class PredictedPoint:
 
 @dataclass(frozen=True, slots=True)
 class PredictedState:
-    """All points of a state that was not measured, and the forces that move it."""
+    """All points of an unmeasured state, and the forces on it."""
 
     state: str
     points: tuple[PredictedPoint, ...]

@@ -1,7 +1,6 @@
-"""The schema of a plan in plain numbers: what `palpate plan --json` prints.
+"""Schema of a plan in plain numbers, as printed by `palpate plan --json`.
 
-Frozen dataclasses, read by the report and the commands; `records.typed_json` writes them and
-reads them again.
+Frozen dataclasses, used by the report and the commands; `records.typed_json` writes and reads them.
 """
 
 from collections.abc import Mapping
@@ -13,9 +12,9 @@ from typing import Literal
 class ParameterPlan:
     """Magnitudes of a parameter in its unit.
 
-    `minimum` is found with 80 % power at 1 % false alarms, None where nothing is visible;
+    `minimum` is detected with 80 % power at 1 % false alarms, None if the parameter is invisible;
     `plausible` is a prior standard deviation. `shown_minimum` and `shown_plausible` are the same
-    as a reader thinks of them, in `shown_unit`; None in records of earlier versions.
+    in the unit for readers, `shown_unit`; None in records of earlier versions.
     """
 
     parameter: str
@@ -28,7 +27,7 @@ class ParameterPlan:
 
     @property
     def shown(self) -> tuple[float | None, float | None, str]:
-        """Return least and plausible magnitude and their unit, for a reader."""
+        """Return minimum and plausible magnitude in the unit for readers."""
         if self.shown_unit is None:
             return self.minimum, self.plausible, self.unit
         return self.shown_minimum, self.shown_plausible, self.shown_unit
@@ -36,20 +35,20 @@ class ParameterPlan:
 
 @dataclass(frozen=True, slots=True)
 class PlannedEffect:
-    """What the planned scans could show of one effect.
+    """Detectability of one effect in the planned scans.
 
     Parameters
     ----------
     name, family, summary : str
     parameters : tuple of ParameterPlan
     absorbed_share : float
-        What the constants hide of it, 0 to 1.
+        Share of the effect that the constants absorb, 0 to 1.
     nearest : str or None
-        The effect whose visible part looks most alike.
+        The effect with the most similar visible part.
     cosine : float
-        How alike, 0 to 1.
+        Their similarity, 0 to 1.
     log_evidence : float
-        Expected over no gap if it acts at its plausible size, in nats.
+        Expected log Bayes factor against no gap at the plausible size, in nats.
     seen : bool
         Whether it can be accused or acquitted.
     why_not : {"hidden", "weak", ""}
@@ -69,7 +68,7 @@ class PlannedEffect:
 
 @dataclass(frozen=True, slots=True)
 class ConfusablePair:
-    """Two effects that are seen and not told apart; the log evidence expected between them."""
+    """Two visible effects that cannot be distinguished, with the expected log Bayes factor."""
 
     effects: tuple[str, ...]
     log_evidence: float
@@ -77,24 +76,24 @@ class ConfusablePair:
 
 @dataclass(frozen=True, slots=True)
 class FurtherMeasurement:
-    """What one more scan or measurement would add.
+    """Expected benefit of one more scan or measurement.
 
     Parameters
     ----------
     name : str
     told_apart, more_told_apart : int
-        Pairs of effects, in all and in addition.
+        Number of distinguishable pairs of effects, in total and in addition.
     separates : tuple of pairs of str
         Pairs that are confusable without it.
     reveals, silent : tuple of str
-        Effects that are seen with it only, and those that are still not seen.
+        Effects that are visible only with it, and those that remain invisible.
     minimum_ratio : float
         Geometric mean of `minimum_ratios`.
     minimum_ratios : mapping of str to float
-        By which the smallest magnitude of each effect changes that is found.
+        Factor by which the minimum detectable magnitude of each effect changes.
     absorbed_shares : mapping of str to float
     not_simulated : tuple of str
-        Effects that cannot be simulated under it.
+        Effects that cannot be simulated under its load.
     """
 
     name: str
@@ -119,33 +118,33 @@ class PlanSummary:
     scans : tuple of str
         Names of the planned loads.
     points : int
-        On the interfaces.
+        Number of points on the interfaces.
     noise_mm : float
-        Of the segmentation.
+        Noise of the segmentation.
     travel_mm : mapping of str to float
-        By how much plates come closer, by the name of the load.
+        Travel of the plates towards each other, by the name of the load.
     clear : float
-        Log evidence that decides, in nats.
+        Log Bayes factor that counts as decisive, in nats.
     effects : tuple of PlannedEffect
-        Those that act and could be simulated in all planned scans.
+        Effects that act and could be simulated in all planned scans.
     cosines, log_evidence : tuple of tuple of float
-        How alike two effects look, and by how much the one of the row, acting, beats the one
-        of the column.
+        Similarity of each pair of effects, and expected log Bayes factor of the row's effect
+        against the column's if the former acts.
     pairs, told_apart : int
-        Pairs of effects, and those that are told apart.
+        Number of pairs of effects, and of distinguishable pairs.
     confusable : tuple of ConfusablePair
     silent : tuple of str
-        Effects that are not seen.
+        Effects that are invisible.
     not_simulated : tuple of str
         Loads at which the model does not converge.
     loose : tuple of str
-        Effects that would push the body away.
+        Effects that would push the body away from its supports.
     without_columns : tuple of str
         Effects that do not act here or cannot be simulated.
     acquisitions : tuple of FurtherMeasurement
         The best first.
     caveats : tuple of str, optional
-        Statements with which the plan begins, such as a plausibility check that failed.
+        Statements shown first, such as a failed plausibility check.
     """
 
     case: str

@@ -1,8 +1,8 @@
-"""The schema of a diagnosis in plain numbers: what `palpate diagnose --json` prints.
+"""Schema of a diagnosis in plain numbers, as printed by `palpate diagnose --json`.
 
-Frozen dataclasses, read by the report, the commands and the blind scores. `records.typed_json`
-writes them and reads them again. Lengths are in mm, constants in kPa; parameters of effects have
-their unit beside them.
+Frozen dataclasses, used by the report, the commands and the blind scores; `records.typed_json`
+writes and reads them. Lengths are in mm, constants in kPa; parameters of effects are stored with
+their unit.
 """
 
 from collections.abc import Mapping
@@ -19,9 +19,9 @@ from palpate.workers.mechanics.readings import ShownMagnitude
 
 @dataclass(frozen=True, slots=True)
 class GapEstimate:
-    """A root mean square distance between model and scan, freed of noise, with its interval.
+    """A root mean square distance between model and scan without the noise, with its interval.
 
-    `noise_mm` is the noise of the observation of one point, `points` the number of residuals.
+    `noise_mm` is the observation noise of one point, `points` the number of residuals.
     """
 
     gap_mm: float
@@ -33,7 +33,7 @@ class GapEstimate:
 
 @dataclass(frozen=True, slots=True)
 class ShareEstimate:
-    """By how much effects shrink the square of the gap, with its interval; nan without a gap."""
+    """Share of the squared gap that effects remove, with its interval; nan without a gap."""
 
     share: float
     low: float
@@ -51,33 +51,33 @@ class GapShrinkage:
 
 @dataclass(frozen=True, slots=True)
 class GapSummary:
-    """The gap of all scans, and where each scan is judged by a fit to the others.
+    """The gap of all scans, in-sample and with each scan held out.
 
     Parameters
     ----------
     before : GapEstimate
-        Of the nominal model, averaged over all that may be the cause; see
+        Gap of the nominal model, averaged over all possible causes; see
         `workers.diagnosis.outcome.gap_posterior`.
     noise_floor : float
-        Noise of the observation of one point, in mm.
+        Observation noise of one point, in mm.
     calibration_floor : float
-        What even the right model misses, in mm.
+        Error of even the true model, in mm.
     after : GapEstimate or None
-        The same with the accused effects; None if there are none, as for all that follows.
+        Gap with the accused effects; this and the following are None if there are none.
     held_out_before, held_out_after : GapEstimate or None
-        None for one scan too.
+        Also None for a single scan.
     share, held_out_share : ShareEstimate, optional
-        None too where "no gap" is among the causes that hold 90 %: no share is known of a gap
-        that may not be there.
+        Also None if "no gap" is in the 90 % set of causes, as the share of a gap that may not
+        exist is undefined.
     held_out : str, optional
         How scans were held out, in words.
     held_out_each : mapping of str to GapShrinkage, optional
         By the name of the scan.
     not_judged : tuple of str
-        Scans that are not judged by a fit to the others, for these do not hold what moves them.
+        Scans that cannot be assessed by a fit to the others, which do not constrain them.
     fitted_mm, undeformed_mm : float, optional
-        Root mean square distance of the scans from the best fit and from the body at rest, noise
-        included. None in records of earlier versions.
+        Root mean square distance of the scans from the best fit and from the body at rest,
+        including noise. None in records of earlier versions.
     """
 
     before: GapEstimate
@@ -108,10 +108,10 @@ class GapSummary:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceNoise:
-    """How exactly an interface is drawn, as stated and as its residuals show: deviations in mm.
+    """Segmentation noise of an interface, stated and learnt: standard deviations in mm.
 
-    `learnt_mm` holds in the middle of the body, `least_mm` and `most_mm` where it is drawn best
-    and worst.
+    `learnt_mm` applies to the middle of the body, `least_mm` and `most_mm` to the parts of the
+    interface with the smallest and largest noise.
     """
 
     interface: str
@@ -125,8 +125,8 @@ class InterfaceNoise:
 class RegionGap:
     """The gap of the nominal model in a part of an interface in one scan.
 
-    `signed_mean_mm` is positive where the model lies outside; `p50_mm` and `p95_mm` are
-    quantiles of the distance without its sign.
+    `signed_mean_mm` is positive if the model is outside the scan; `p50_mm` and `p95_mm` are
+    quantiles of the absolute distance.
     """
 
     scan: str
@@ -147,7 +147,7 @@ class RegionGap:
 class ParameterEstimate:
     """A parameter of an effect, with its standard deviation, in its unit.
 
-    `shown` is the same as a reader thinks of it; None in records of earlier versions.
+    `shown` is the same in the form for readers; None in records of earlier versions.
     """
 
     parameter: str
@@ -159,25 +159,25 @@ class ParameterEstimate:
 
 @dataclass(frozen=True, slots=True)
 class EffectSummary:
-    """What is known of one effect.
+    """Probability and estimated parameters of one effect.
 
     Parameters
     ----------
     name, family, summary : str
     probability : float
-        That it acts, alone or with another.
+        Probability that the effect acts, alone or with another.
     magnitude, sd, unit
-        Of the parameter that stands out most; of a joint fit averaged over noise and poses, see
+        The most significant parameter; for a joint fit averaged over noise and poses, see
         `workers.diagnosis.outcome.parameter_posterior`.
     parameters : tuple of ParameterEstimate
     log_bayes_factor : float
-        Of the screening, in nats.
+        From the screening, in nats.
     absorbed_share : float
-        What the constants hide of it, 0 to 1.
+        Share of the effect that the constants absorb, 0 to 1.
     refitted : bool
         Whether it was fitted together with the constants.
     shown : ShownMagnitude, optional
-        The magnitude as a reader thinks of it; see `workers.mechanics.readings`.
+        The magnitude in the form for readers; see `workers.mechanics.readings`.
     """
 
     name: str
@@ -199,17 +199,17 @@ class EffectSummary:
 
 @dataclass(frozen=True, slots=True)
 class ConstantEstimate:
-    """A constant in kPa, of the nominal model and with the accused effects if there are any.
+    """A constant in kPa, in the nominal model and with the accused effects, if any.
 
     Parameters
     ----------
     before, after : float
     before_interval, after_interval : (float, float), optional
-        90 % intervals of both; None in diagnoses of before there were any.
+        90 % intervals of both; None in records of earlier versions.
     stated : (float, float), optional
-        The interval in which the case says that it lies.
+        The interval stated in the case.
     converged : bool, optional
-        Whether the fit converged that the value comes from.
+        Whether the underlying fit converged.
     """
 
     before: float
@@ -222,10 +222,10 @@ class ConstantEstimate:
 
 @dataclass(frozen=True, slots=True)
 class JointFitSummary:
-    """What the joint fit of some effects has gained over the nominal model, in nats.
+    """Gain in log evidence of a joint fit of effects over the nominal model, in nats.
 
-    `field_gain` is what a smooth field gains on top of it; `values` are all parameters at
-    its optimum, inside names and units.
+    `field_gain` is the further gain from a smooth field; `values` are all parameters at the
+    optimum, in internal names and units.
     """
 
     effects: tuple[str, ...]
@@ -241,7 +241,7 @@ class JointFitSummary:
 
 @dataclass(frozen=True, slots=True)
 class OverlapFigures:
-    """How far a predicted and an observed body overlap; see `Score` and `Distances`."""
+    """Overlap of a predicted and an observed body; see `Score` and `Distances`."""
 
     jc: float
     dice: float
@@ -256,7 +256,7 @@ class OverlapFigures:
 
 @dataclass(frozen=True, slots=True)
 class OverlapRow:
-    """Overlap inside one interface of one scan, and what noise alone leaves of the Jaccard."""
+    """Overlap inside one interface of one scan, and the Jaccard index reachable despite noise."""
 
     scan: str
     interface: str
@@ -267,7 +267,7 @@ class OverlapRow:
 
 @dataclass(frozen=True, slots=True)
 class LoudestPlace:
-    """The place at which a lump would explain most; see `diagnosis.outcome.pictures.cause_map`."""
+    """The place where a lump explains most; see `diagnosis.outcome.pictures.cause_map`."""
 
     score: float
     x_mm: float
@@ -282,7 +282,7 @@ class LoudestPlace:
 
 @dataclass(frozen=True, slots=True)
 class CauseMapSummary:
-    """The loudest place of the residuals before, and after where effects are accused."""
+    """Most significant places of the residuals: before, and after with the accused effects."""
 
     before: LoudestPlace
     after: LoudestPlace | None = None
@@ -292,7 +292,7 @@ class CauseMapSummary:
 class NextAcquisition:
     """A further measurement: pairs of suspects that it separates, hidden effects that it reveals.
 
-    `minimum_ratio` is what becomes of the smallest magnitudes that are found.
+    `minimum_ratio` is the factor by which minimum detectable magnitudes change.
     """
 
     name: str
@@ -316,7 +316,7 @@ class Summary:
     primary : tuple of str
         The accused effects; see `workers.diagnosis.verdict.verdict.Verdict`.
     effects : tuple of EffectSummary
-        Of all effects that act and could be simulated, in the order of the catalogue.
+        All effects that act and could be simulated, in the order of the catalogue.
     set90 : tuple of str
     families : mapping of str to float
     absorbed : tuple of str
@@ -328,28 +328,28 @@ class Summary:
     gap_mm : GapSummary
     where : tuple of RegionGap
     constants : mapping of str to ConstantEstimate
-        By their names at the door, such as ``E_fat_kpa``.
+        By external names, such as ``E_fat_kpa``.
     refits : tuple of JointFitSummary
     points, left_out : int
-        On the interfaces; those that some scan does not show clearly.
+        Number of points used on the interfaces, and of those not shown clearly by every scan.
     overlap, cause_map : optional
-        Of a body that was scanned.
+        For a scanned body.
     markers, hidden, predictions : optional
-        Of a bench experiment.
+        For a bench experiment.
     next_acquisitions : optional
         If further measurements were planned.
     noise : tuple of InterfaceNoise, optional
-        Of the segmentation, where it is learnt.
+        Segmentation noise, if it is learnt.
     surfaces, compared : tuple of str, str
-        The interfaces, and where their points lie, in words.
+        The interfaces, and the location of their points in words.
     not_simulated : optional
-        Causes that no effect stands for, and why; those of a breast where it is None.
+        Causes without an effect in the catalogue, and why; if None, the causes for a breast.
     caveats : tuple of str, optional
-        Statements with which the diagnosis begins, such as a plausibility check that failed.
+        Statements shown first, such as a failed plausibility check.
     doubts : tuple of str, optional
-        Sentences that come before the verdict: reasons not to rely on it.
+        Sentences shown before the verdict: reasons not to rely on it.
     data_notes : tuple of str, optional
-        Sentences about data that are missing and were not compared.
+        Sentences about missing data that were not compared.
     """
 
     case: str
@@ -390,12 +390,12 @@ class Summary:
         return f"{text}, {len(self.effects)} effects, {self.points} points"[:498] + ">"
 
     def effect(self, name: str) -> EffectSummary:
-        """Return what is known of one effect.
+        """Return the summary of one effect.
 
         Raises
         ------
         KeyError
-            If it does not act, or could not be simulated.
+            If the effect does not act or could not be simulated.
         """
         found = {one.name: one for one in self.effects}
         return found[name]

@@ -1,1 +1,1 @@
-"""What a diagnosis shows: bodies, maps and overlaps."""
+"""Pictures of a diagnosis: bodies, maps and overlaps."""

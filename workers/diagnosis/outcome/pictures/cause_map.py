@@ -1,17 +1,17 @@
-r"""Where the tissue would have to be stiffer or softer to explain what is left.
+r"""Map of the local stiffness changes that would explain the residuals.
 
 For a lump at a place, with whitened column b and the efficient residual of `Linearised`,
 
 .. math:: z = -\frac{b' P \rho}{\sqrt{b' P b}}
 
 is Rao's score of a unit variance: positive where a stiffer spot would explain the
-residuals, negative where a softer one would. It is the error estimator of model updating
+residuals, negative where a softer one would. This is the error estimator of model updating
 (L. Chamoin, P. Ladeveze and J. Waeytens, Comput. Mech. 54 (2014) 1567) with one adjoint
-problem for all places, freed of what the nominal constants absorb.
+problem for all places, without the part that the nominal constants absorb.
 
-Places share most of their data, so a map is smooth, and its largest value over many
-places is that of noise more often than a single one is: `reached_by_noise` draws
-residuals of pure noise and looks at the largest of each draw.
+Places share most of their data, so a map is smooth; the maximum over many places exceeds a given
+level by chance more often than a single value does. `reached_by_noise` is the level for the maximum
+under residuals of pure noise.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ DRAWS = 2000
 # Share of draws of pure noise whose largest |z| stays below the level.
 QUIET = 0.95
 VOXEL_MM = 2.0
-# A voxel farther from every place than this is not drawn: the rim, where no lump was tried.
+# Voxels farther than this from every place are not drawn: the rim, where no lump was tried.
 FARTHEST_MM = 12.0
 
 
@@ -44,12 +44,11 @@ class CauseMap:
     z : ndarray, shape (g,)
         Positive for stiffer, of unit variance if only noise is left.
     estimate, sd : ndarray, shape (g,)
-        Logarithm of the ratio of stiffness that is expected, with its prior, and its
-        standard deviation.
+        Posterior mean of the log stiffness ratio and its standard deviation.
     seen : ndarray of bool, shape (g,)
-        Whether the scans know more about the place than the prior does.
+        Whether the scans are more informative about the place than the prior.
     reached_by_noise : float
-        Level that the largest |z| of pure noise exceeds in 5 of 100 cases.
+        Level exceeded by the largest |z| of pure noise with a probability of 5 %.
     """
 
     places: FloatArray
@@ -61,7 +60,7 @@ class CauseMap:
 
     @property
     def loudest(self) -> int:
-        """The place with the largest |z| among those that are seen; of all if none is."""
+        """Index of the place with the largest |z| among the seen ones, or all if none is seen."""
         among = self.seen if self.seen.any() else np.ones_like(self.seen)
         return int(np.where(among, np.abs(self.z), -1.0).argmax())
 
@@ -69,24 +68,23 @@ class CauseMap:
 def cause_map(
     problem: Linearised, lump: EffectSensitivity, places: FloatArray, seed: int = 0
 ) -> CauseMap:
-    """Score every place of a sensitivity.
+    """Compute the score of every place of a sensitivity.
 
     Parameters
     ----------
     problem : Linearised
-        At the fit of the nominal parameters, or of a refit: the map then shows what an
-        effect leaves.
+        At the nominal fit, or at a refit to map the residuals that remain with an effect.
     lump : EffectSensitivity
         One parameter at g places.
     places : ndarray, shape (g, 3)
-        Of the sensitivity, (x, y, z) in mm.
+        Places of the sensitivity, (x, y, z) in mm.
     seed : int
-        Of the draws of noise.
+        Seed for the draws of noise.
 
     Raises
     ------
     InputError
-        If the sensitivity has several parameters, or other places or residuals.
+        If the sensitivity has several parameters, or does not match places or residuals.
     """
     g, _, q = lump.places.shape
     if q != 1 or places.shape != (g, 3):
@@ -105,14 +103,14 @@ def cause_map(
         z=score / np.sqrt(own),
         estimate=score * posterior * lump.prior_sd[0],
         sd=np.sqrt(posterior) * lump.prior_sd[0],
-        # Data that say as much as the prior halve the variance.
+        # Data as informative as the prior halve the variance.
         seen=own > 1.0,
         reached_by_noise=_largest_of_noise(information, own, seed),
     )
 
 
 def _largest_of_noise(information: FloatArray, own: FloatArray, seed: int) -> float:
-    """Return quantile of the largest of correlated unit normals."""
+    """Return a quantile of the maximum of correlated unit normals."""
     scale = np.sqrt(own)
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -121,11 +119,10 @@ def _largest_of_noise(information: FloatArray, own: FloatArray, seed: int) -> fl
 
 
 def voxels(found: CauseMap, body: Volume, voxel_mm: float = VOXEL_MM) -> Volume:
-    """Return the scores between the places, in the body.
+    """Interpolate the scores between the places, inside the body.
 
     The interpolation is exact at the places and linear in the distance between them
-    (the biharmonic spline of three dimensions), so it neither overshoots far nor runs
-    away outside.
+    (the biharmonic spline in three dimensions), which limits overshoot and extrapolation.
 
     Parameters
     ----------
@@ -133,12 +130,12 @@ def voxels(found: CauseMap, body: Volume, voxel_mm: float = VOXEL_MM) -> Volume:
     body : Volume
         `Tissue` labels of the body at rest.
     voxel_mm : float
-        Of the map; > 0.
+        Voxel size of the map; > 0.
 
     Returns
     -------
     Volume of float32
-        z in the body near to places that are seen; nan elsewhere.
+        z in the body close to seen places; nan elsewhere.
     """
     if not voxel_mm > 0:
         raise InputError(f"Voxels of a map need an edge > 0 mm, found {voxel_mm}.")
@@ -160,7 +157,7 @@ def voxels(found: CauseMap, body: Volume, voxel_mm: float = VOXEL_MM) -> Volume:
 
 
 def _tissue_at(body: Volume, points: FloatArray) -> BoolArray:
-    """Return whether points lie in voxels of tissue."""
+    """Check which points are in voxels of tissue."""
     index = np.rint((points - body.origin_mm) / np.asarray(body.spacing_mm)).astype(int)
     valid = ((index >= 0) & (index < body.shape_xyz)).all(axis=1)
     x, y, z = np.clip(index, 0, np.asarray(body.shape_xyz) - 1).T

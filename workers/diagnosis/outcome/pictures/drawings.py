@@ -1,4 +1,4 @@
-"""What a diagnosis keeps for the eye: bodies, their shapes and the map of causes, as arrays.
+"""Arrays for the pictures of a diagnosis: bodies, their shapes and the map of causes.
 
 ::
 
@@ -10,7 +10,7 @@
     cause_places                               where a lump was tried
 
 A frame is an array (2, 3): the spacing and the centre of the first voxel, (x, y, z) in mm.
-<when> is "before" for the nominal model at its best, or "after" with the effects accused.
+<when> is "before" for the fitted nominal model, or "after" with the accused effects.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,10 +52,10 @@ def bodies(
     reference : Volume
         `Tissue` labels of the body at rest.
     observed : sequence of Volume
-        Of the loaded scans.
+        Labels of the loaded scans.
     predicted : mapping of str to sequence of Volume
         For "before", and "after" if an effect is accused: see
-        `workers.diagnosis.outcome.pictures.overlap.predict`. Cut where the scans were cut.
+        `workers.diagnosis.outcome.pictures.overlap.predict`. Cropped like the scans.
 
     Raises
     ------
@@ -78,14 +78,14 @@ def bodies(
 
 
 def local_means(fits: Mapping[str, Linearised], points: InterfacePoints) -> Arrays:
-    """Return residuals that stand out of the noise as regions, not as points.
+    """Return locally averaged residuals, which show regions instead of the noise of points.
 
     Parameters
     ----------
     fits : mapping of str to Linearised
         For "before", and "after" if an effect is accused.
     points : InterfacePoints
-        Of the body at rest, k of them in each scan.
+        Points of the body at rest, k in each scan.
     """
     arrays: Arrays = {}
     for when, fit in fits.items():
@@ -115,19 +115,19 @@ def overlap_rows(
     Parameters
     ----------
     names : sequence of str
-        Of the scans.
+        Names of the scans.
     areas_mm2 : sequence of sequence of float
-        Of the interfaces that each scan shows.
+        Areas of the interfaces in each scan.
     observed, predicted
         As for `bodies`.
     residuals : mapping of str to ndarray, shape (scans, k)
-        Signed distances in mm under the names of `predicted`.
+        Signed distances in mm, with the keys of `predicted`.
     noise : ndarray, shape (scans, k)
         Standard deviations of the nominal residuals.
     interface : ndarray of int, shape (k,)
         The interface of each point.
     each : callable
-        Calls a function with every item; see `workers.scan_threads`.
+        Applies a function to every item; see `workers.scan_threads`.
 
     Returns
     -------
@@ -170,7 +170,7 @@ def _figures(score: Score, apart: Distances) -> OverlapFigures:
 
 
 def causes(maps: Mapping[str, CauseMap], body: Volume) -> Arrays:
-    """Return the scores between the places, for "before", and "after" if there is one."""
+    """Return the interpolated scores for "before", and for "after" if present."""
     arrays: Arrays = {}
     for when, found in maps.items():
         drawn = voxels(found, body)
@@ -181,7 +181,7 @@ def causes(maps: Mapping[str, CauseMap], body: Volume) -> Arrays:
 
 
 def loudest_place(found: CauseMap) -> LoudestPlace:
-    """Return the loudest place of a map, in plain numbers."""
+    """Return the most significant place of a map, in plain numbers."""
     at = found.loudest
     x, y, z = found.places[at].tolist()
     return LoudestPlace(

@@ -1,4 +1,4 @@
-"""Sharp edges of a body, which show its shape in a few lines, at rest and deformed."""
+"""Sharp edges of a body at rest and deformed, which outline its shape."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,7 +13,7 @@ SHARP_DEGREES = 40.0
 def edge_arrays(
     nodes: FloatArray, edges: IntArray, displacements: Mapping[str, Sequence[FloatArray]]
 ) -> Arrays:
-    """Return the edges of a body as pictures need them.
+    """Return the edges of a body at rest and deformed, for pictures.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def edge_arrays(
     edges : ndarray, shape (e, 2)
         See `sharp_edges`.
     displacements : mapping of str to sequence of ndarray, shape (n, 3)
-        Of every state, "before" and "after"; those of another mesh are left out.
+        For every state, "before" and "after"; displacements on another mesh are ignored.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def edge_arrays(
 
 
 def sharp_edges(nodes: FloatArray, triangles: IntArray, degrees: float = SHARP_DEGREES) -> IntArray:
-    """Return the edges at which a closed surface bends by more than an angle, shape (e, 2).
+    """Return the edges where a closed surface bends by more than an angle, shape (e, 2).
 
     Examples
     --------
@@ -52,7 +52,7 @@ def sharp_edges(nodes: FloatArray, triangles: IntArray, degrees: float = SHARP_D
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     pairs = np.sort(triangles[:, ((0, 1), (1, 2), (2, 0))].reshape(-1, 2), axis=1)
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
-    # Of a closed surface every edge is there twice, once for each of its triangles.
+    # In a closed surface every edge occurs twice, once for each of its triangles.
     first, second = order[::2], order[1::2]
     bend = (normals[first // 3] * normals[second // 3]).sum(axis=1)
     return np.asarray(pairs[first[bend < np.cos(np.radians(degrees))]])

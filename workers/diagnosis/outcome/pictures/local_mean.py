@@ -1,12 +1,12 @@
-r"""Residuals averaged over a neighbourhood: what a map shows instead of the noise of points.
+r"""Residuals averaged over a neighbourhood, for maps without the noise of single points.
 
-The noise of a segmentation changes sign every few millimetres, a gap does not. For
-weights w over the points of one interface that look the same way,
+The noise of a segmentation changes sign every few millimetres; a gap does not. For weights w over
+the points of one interface with similar normals,
 
 .. math:: \bar r = w'r, \qquad sd(\bar r)^2 = w' D w,
 
-with D the covariance of the residuals, so that two standard deviations mean the same
-everywhere, near an edge too.
+with D the covariance of the residuals, so that two standard deviations mean the same everywhere,
+even near an edge.
 """
 
 import numpy as np
@@ -30,14 +30,14 @@ def local_mean(
     Parameters
     ----------
     points : ndarray, shape (k, 3)
-        Of the body at rest, in mm.
+        Points of the body at rest, in mm.
     normals : ndarray, shape (k, 3)
         Unit normals there; opposite sides of a thin part are not mixed.
     interface : ndarray of int, shape (k,)
     residual : ndarray, shape (s, k)
-        Of each scan, in mm.
+        Residuals of each scan, in mm.
     covariance : ndarray, shape (s k, s k)
-        Of all residuals, scan after scan, in mm^2.
+        Covariance of all residuals, scan after scan, in mm^2.
     length_mm : float
         Standard deviation of the Gaussian weights; > 0.
 

@@ -1,14 +1,13 @@
-r"""How far predicted and observed bodies overlap, in the numbers of an image comparison.
+r"""Overlap of predicted and observed bodies, in the usual measures of image comparison.
 
 The reference labels are moved by the simulated displacement onto the lattice of the
 observed scan and compared interface by interface: Jaccard and Dice coefficient,
-modified Hausdorff distance and the geometric similarity function. These numbers take
-no part in a verdict: they saturate, and they do not know the noise. They tell how
-large a gap is to a reader who is used to them.
+modified Hausdorff distance and the geometric similarity function. The verdict does not use these
+numbers, as they saturate and ignore the noise. They show the size of a gap in familiar terms.
 
-What segmentation noise alone leaves of the Jaccard coefficient follows from the area S
-of an interface and the mean distance by which the noise moves it, as two bodies of
-volume V then differ in :math:`D = S \,\overline{|e|}`:
+The Jaccard coefficient that is reachable despite segmentation noise follows from the area S of an
+interface and the mean distance by which the noise moves it, as two bodies of volume V then differ
+by :math:`D = S \,\overline{|e|}`:
 
 .. math:: JC = \frac{V - D/2}{V + D/2}, \qquad
           \overline{|e|} = \sqrt{2/\pi}\,\overline{\sigma} .
@@ -30,14 +29,14 @@ from palpate.workers.diagnosis.problem.acquisition import INTERFACES
 
 @dataclass(frozen=True, slots=True)
 class Distances:
-    """Distances of the points of one interface from what a scan shows.
+    """Distances of the points of one interface from the scan.
 
     Parameters
     ----------
     p50_mm, p95_mm : float
-        Median and 95th percentile of the distance without its sign.
+        Median and 95th percentile of the absolute distance.
     signed_mean_mm : float
-        Positive if the model lies outside of the observed tissue on the whole.
+        Positive if the model is on average outside the observed tissue.
     points : int
     """
 
@@ -48,19 +47,19 @@ class Distances:
 
 
 def predict(labels: Volume, mesh: TetMesh, displacement_mm: FloatArray, observed: Volume) -> Volume:
-    """Return the body as the model deforms it, on the lattice of a scan, from where that begins.
+    """Return the deformed body on the lattice of a scan, from the scan's first slice.
 
-    Below the lowest slice in which a scan shows the body it may have been cut.
+    Below the lowest slice in which a scan shows the body, it may have been cropped.
 
     Parameters
     ----------
     labels : Volume
         `Tissue` labels of the body at rest.
     mesh : TetMesh
-        Of the body at rest, n nodes.
+        Mesh of the body at rest, n nodes.
     displacement_mm : ndarray, shape (n, 3)
     observed : Volume
-        The scan that the body is compared with.
+        The scan for comparison.
 
     Raises
     ------
@@ -77,7 +76,7 @@ def predict(labels: Volume, mesh: TetMesh, displacement_mm: FloatArray, observed
 def overlaps(
     predicted: Volume, observed: Volume, interfaces: Sequence[Interface] = INTERFACES
 ) -> dict[str, Score]:
-    """Compare two bodies on one lattice by what each interface encloses.
+    """Compare two bodies on one lattice by the volume enclosed by each interface.
 
     Parameters
     ----------
@@ -93,7 +92,7 @@ def overlaps(
     Raises
     ------
     InputError
-        If the lattices differ, or `observed` has nothing inside an interface.
+        If the lattices differ, or `observed` has no tissue inside an interface.
     """
     return {i.name: Scorer(observed, i.inside).score(predicted) for i in interfaces}
 
@@ -101,7 +100,7 @@ def overlaps(
 def reachable_jc(
     observed: Volume, interface: Interface, area_mm2: float, noise_mm: FloatArray
 ) -> float:
-    """Return Jaccard coefficient that a perfect model would reach in spite of the noise.
+    """Return the Jaccard coefficient that a perfect model would reach despite the noise.
 
     Parameters
     ----------
@@ -109,9 +108,9 @@ def reachable_jc(
         `Tissue` labels.
     interface : Interface
     area_mm2 : float
-        Of the interface in the scan.
+        Area of the interface in the scan.
     noise_mm : ndarray, shape (k,)
-        Standard deviations of the residuals of points on the interface, small against
+        Standard deviations of the residuals of points on the interface, small compared with
         the thickness of the tissue.
 
     Raises
@@ -128,16 +127,16 @@ def reachable_jc(
 
 
 def distances(residual_mm: FloatArray, interface: IntArray, number: int) -> Distances:
-    """Return percentiles of the distance of one interface in one scan.
+    """Return the distance statistics of one interface in one scan.
 
     Parameters
     ----------
     residual_mm : ndarray, shape (k,)
-        Signed distances, positive outside of the observed tissue.
+        Signed distances, positive outside the observed tissue.
     interface : ndarray of int, shape (k,)
         The interface of each point.
     number : int
-        Which one.
+        Index of the interface.
 
     Raises
     ------
@@ -152,7 +151,7 @@ def distances(residual_mm: FloatArray, interface: IntArray, number: int) -> Dist
 
 
 def on_one_box(volumes: Sequence[Volume]) -> tuple[NDArray[np.uint8], Triple]:
-    """Return labels on one lattice as one array, in a box around all of them.
+    """Return labels on one lattice as one array, in a common bounding box.
 
     Parameters
     ----------
@@ -179,7 +178,7 @@ def on_one_box(volumes: Sequence[Volume]) -> tuple[NDArray[np.uint8], Triple]:
             raise InputError(
                 f"Labels on one box need one lattice: found voxels of {first.spacing_mm} mm with "
                 f"one at {first.origin_mm} mm, and of {volume.spacing_mm} mm with one at "
-                f"{volume.origin_mm} mm. Deform onto the lattice of the scan."
+                f"{volume.origin_mm} mm. Warp the labels onto the lattice of the scan."
             )
         away = (np.asarray(volume.origin_mm) - first.origin_mm) / spacing
         starts.append(np.rint(away).astype(int)[::-1])

@@ -1,4 +1,4 @@
-"""What the report shows of a body that was scanned: arrays to draw, rows to print."""
+"""Arrays and table rows of the report for a scanned body."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ from palpate.workers.scan_threads import Each
 
 Displacements = Mapping[str, Sequence[FloatArray]]
 """Displacements of the finest nodes in mm, one for each scan: "before", and "after" with the
-effects accused, if there are any."""
+accused effects, if any."""
 
 
 def pictures_of_scans(
@@ -37,13 +37,13 @@ def pictures_of_scans(
     prepared: ReadPrepared,
     each: Each = map,
 ) -> tuple[Arrays, Summary]:
-    """Draw bodies, maps and overlaps before and after.
+    """Return bodies, maps and overlaps before and after.
 
     Parameters
     ----------
     diagnosis : Diagnosis
     effects : sequence of Effect
-        The catalogue; the first one that is mapped is drawn.
+        The catalogue; the first effect with a map is drawn.
     displacements : mapping of str to sequence of ndarray
     summary : Summary
         Of the diagnosis.
@@ -52,14 +52,14 @@ def pictures_of_scans(
     prepared : callable
         See `workers.diagnosis.problem.preparation`.
     each : callable
-        Calls a function with every item; see `workers.scan_threads`.
+        Applies a function to every item; see `workers.scan_threads`.
 
     Returns
     -------
     arrays : dict of str to ndarray
         See `workers.diagnosis.outcome.pictures.drawings`.
     summary : Summary
-        With ``overlap``, and with ``cause_map`` where such an effect was looked for.
+        With ``overlap``, and with ``cause_map`` if such an effect was tried.
     """
     analysis = diagnosis.analysis
     finest = analysis.inverse.model.finest

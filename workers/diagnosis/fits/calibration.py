@@ -1,4 +1,4 @@
-"""The nominal model at its optimum, with the noise of the scans and of the mesh known."""
+"""Calibration: the fitted nominal model with the noise of the scans and of the mesh."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -35,15 +35,15 @@ from palpate.workers.scan_threads import Each
 def calibrate(
     inverse: InverseProblem, finer: Model | None = None, each: Each = map
 ) -> tuple[InverseProblem, SolvedFit]:
-    """Fit the nominal constants, then once more where the scans can be trusted.
+    """Fit the nominal constants, then refit them to the reliable points of the scans.
 
     Parameters
     ----------
     inverse : InverseProblem
     finer : Model, optional
-        A finer mesh of the same body: what it moves the points by is taken off.
+        A finer mesh of the same body, used to correct for the mesh error.
     each : callable
-        Calls a function with every scan; see `workers.diagnosis.fits.gauss_newton.fit`.
+        Applies a function to every scan; see `workers.diagnosis.fits.gauss_newton.fit`.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def calibrate(
     first = fit(inverse, free, free.mean, [None] * len(inverse.scans), each=each)
     if first is None:
         raise InputError(
-            "The nominal model was not solved at the middle of the plausible intervals: "
+            "The nominal model could not be solved at the middle of the plausible intervals: "
             "check loads, units and constants of the case."
         )
     inverse, first = _reduced(inverse, first, clear(inverse, first))
@@ -74,14 +74,14 @@ def calibrate(
     inverse = with_learnt_noise(inverse, columns, predictions)
     second = fit(inverse, free, first.z, [v.at for v in predictions], each=each)
     if second is None:
-        raise AssertionError("the start of the second fit is the end of the first")
+        raise AssertionError("a fit that starts at the optimum of another one must be simulable")
     return inverse, second
 
 
 def _reduced(
     inverse: InverseProblem, at: SolvedFit, kept: BoolArray
 ) -> tuple[InverseProblem, SolvedFit]:
-    """Return the problem and its fit at some of the points only, shape (k,)."""
+    """Return the problem and its fit for a subset of the points, shape (k,)."""
     rows = np.tile(kept, len(inverse.scans))
     inverse = inverse.keeping(kept)
     predictions = tuple(_compared(inverse, at, at.predictions))
@@ -89,7 +89,7 @@ def _reduced(
 
 
 def _matched(inverse: InverseProblem, at: SolvedFit) -> BoolArray:
-    """Return points that every scan shows, whatever may move them, shape (k,)."""
+    """Find points that every scan shows, whatever may move them, shape (k,)."""
     field, centre_mm = inverse.something_else, inverse.frame.centre_mm
     moved, normals = [v.points for v in at.predictions], [v.normals for v in at.predictions]
     smooth = smooth_columns(
@@ -109,7 +109,7 @@ def _matched(inverse: InverseProblem, at: SolvedFit) -> BoolArray:
 
 
 def _pressed(inverse: InverseProblem, predictions: Sequence[PredictedScan]) -> list[FloatArray]:
-    """Return how far plates press each point in each scan, shapes (k,)."""
+    """Return the pressed share of each point in each scan, shapes (k,)."""
     nodes = [inverse.forward.pressed(v.at) for v in predictions]
     free = np.zeros(len(inverse.points))
     return [free if one is None else pressed_shares(inverse, one) for one in nodes]
@@ -118,7 +118,7 @@ def _pressed(inverse: InverseProblem, predictions: Sequence[PredictedScan]) -> l
 def _compared(
     inverse: InverseProblem, at: Fit, solved: Sequence[PredictedScan]
 ) -> list[PredictedScan]:
-    """Compare what was solved with the scans again, at the points and as the problem has them."""
+    """Compare solved predictions with the scans again, after a change of the problem."""
     return [
         compare_with_scan(inverse, scan, at.unknowns, at.z, v.at)
         for scan, v in zip(inverse.scans, solved, strict=True)
@@ -126,10 +126,10 @@ def _compared(
 
 
 def clear(inverse: InverseProblem, at: Fit) -> BoolArray:
-    """Return points whose interface is alone in every deformed scan, where the model puts them.
+    """Find points with no second interface nearby in any deformed scan.
 
-    Two scans of one body are segmented apart; a thin strand or cleft may be in one of
-    them only, and the nearest interface is then another one.
+    Two scans of one body are segmented separately; a thin strand or cleft may be in only one of
+    them, and the nearest interface is then a different one.
     """
     reach = SETTINGS.points.clear_noises * inverse.noise.sd_mm
     alone = np.ones(len(inverse.points), np.bool_)
@@ -149,7 +149,7 @@ def with_mesh_bias(
     predictions: Sequence[PredictedScan],
     each: Each = map,
 ) -> InverseProblem:
-    """Take off what a finer mesh moves the points by."""
+    """Subtract the shift of the points between this mesh and a finer one."""
     fine_problem = replace(inverse, model=finer, at_points=interpolation_of(finer, inverse))
     fine_problem = with_pressed_points(fine_problem, [v.followed.pressed for v in predictions])
 
@@ -165,7 +165,7 @@ def with_mesh_bias(
 
 
 def with_anchored_scans(inverse: InverseProblem, anchors: Sequence[FloatArray]) -> InverseProblem:
-    """Keep the noise of drawn interfaces what it is at the anchors, shape (k, 3) for each scan."""
+    """Fix the noise of drawn interfaces to its value at the anchors, (k, 3) for each scan."""
     if not inverse.is_segmented:
         return inverse
     length = inverse.noise.correlation_mm
@@ -179,7 +179,7 @@ def with_anchored_scans(inverse: InverseProblem, anchors: Sequence[FloatArray]) 
 def with_learnt_noise(
     inverse: InverseProblem, columns: FloatArray, predictions: Sequence[ComparedScan]
 ) -> InverseProblem:
-    """Find out how large and how smooth the noise is; see `workers.diagnosis.noise.learning`.
+    """Learn amplitude and length of the noise; see `workers.diagnosis.noise.learning`.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def with_learnt_noise(
     columns : ndarray, shape (m, p)
         Derivatives of the residuals by the constants, per prior standard deviation.
     predictions : sequence of ComparedScan
-        Of the fit at which they were taken.
+        From the fit at which the derivatives were taken.
     """
     parts = noise_parts(inverse, predictions)
     if not inverse.is_segmented:
@@ -215,7 +215,7 @@ def with_learnt_noise(
 
 
 def interpolation_of(model: Model, inverse: InverseProblem) -> csr_matrix:
-    """Return the matrix from displacements of another mesh's nodes to those of the points."""
+    """Return the interpolation matrix from the nodes of another mesh to the points."""
     finest, own = model.finest, inverse.points.points[~inverse.is_force]
     mesh = TetMesh(finest.nodes, finest.elements.tets)
     return at_points_with_forces(interpolation(mesh, own), int(inverse.is_force.sum()))

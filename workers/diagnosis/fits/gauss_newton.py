@@ -1,4 +1,4 @@
-"""Gauss and Newton: the parameters of a hypothesis that explain the scans best."""
+"""Gauss-Newton fit of the parameters of a hypothesis to the scans."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -35,7 +35,7 @@ class Fit:
     predictions : tuple of ComparedScan
         One for each scan.
     jacobian : ndarray, shape (m, p)
-        Of the residuals of all scans.
+        Derivatives of the residuals of all scans.
     cost : float
         Minus twice the log posterior, up to a constant.
     converged : bool
@@ -51,7 +51,7 @@ class Fit:
     iterations: int
 
     def values(self) -> dict[str, float]:
-        """Return all parameters by name, constants themselves instead of their logarithms."""
+        """Return all parameters by name, with constants instead of their logarithms."""
         k = len(self.unknowns.free)
         values = self.unknowns.constants(self.z)
         rest = zip(self.unknowns.names[k:], self.z[k:], strict=True)
@@ -59,7 +59,7 @@ class Fit:
 
     @property
     def at_bound(self) -> IntArray:
-        """Which parameters were stopped at a bound; see `Unknowns.at_bound`."""
+        """Bounds at which parameters were stopped; see `Unknowns.at_bound`."""
         return self.unknowns.at_bound(self.z)
 
     def residual(self, inverse: InverseProblem) -> FloatArray:
@@ -67,7 +67,7 @@ class Fit:
         return residuals(inverse, self.predictions)
 
     def linearised(self, inverse: InverseProblem) -> Linearised:
-        """Return residuals, derivatives and noise around the optimum; poses are in the noise."""
+        """Return residuals, derivatives and noise around the optimum, with poses in the noise."""
         u, poses = self.unknowns, self.pose_columns(inverse)
         factor = inverse.covariance_factor
         return Linearised(
@@ -79,9 +79,9 @@ class Fit:
         )
 
     def linearised_with_poses(self, inverse: InverseProblem) -> Linearised:
-        """Return the same with poses and drawing as free parameters after the others.
+        """Return the linearisation with poses and contour bias as additional free parameters.
 
-        A gap is what they leave: where a scan lies is no fault of the model.
+        The gap is computed after fitting them, as the pose of a scan is no error of the model.
         """
         u, q = self.unknowns, inverse.nuisance_count
         nuisances = np.hstack([self.pose_columns(inverse), inverse.drawing])
@@ -94,7 +94,7 @@ class Fit:
         )
 
     def hypothesis(self, inverse: InverseProblem) -> LinearHypothesis:
-        """Return the same for `workers.diagnosis.noise.evidence.NoiseModel`."""
+        """Return the linearisation for `workers.diagnosis.noise.evidence.NoiseModel`."""
         u = self.unknowns
         found = LinearHypothesis(
             self.residual(inverse),
@@ -107,22 +107,22 @@ class Fit:
         return found.with_errors(self.pose_columns(inverse), are_poses=True)
 
     def pose_columns(self, inverse: InverseProblem) -> FloatArray:
-        """Return what poses do to the residuals; see `workers.diagnosis.problem.scan_poses`."""
+        """Return the pose columns; see `workers.diagnosis.problem.scan_poses`."""
         return poses_of(inverse, self.predictions)
 
 
 @dataclass(frozen=True, eq=False)
 class SolvedFit(Fit):
-    """A fit with the equilibria of its scans, from which others can be solved."""
+    """A fit with the equilibria of its scans, as starting points for other fits."""
 
     predictions: tuple[PredictedScan, ...]
 
     def starts(self) -> list[Equilibrium]:
-        """Return where another fit may begin."""
+        """Return the equilibria from which another fit may start."""
         return [one.at for one in self.predictions]
 
     def poses(self) -> list[FloatArray | None]:
-        """Return where the scans lie."""
+        """Return the poses of the scans."""
         return [one.pose for one in self.predictions]
 
 
@@ -140,15 +140,15 @@ def fit(
     Parameters
     ----------
     start : ndarray, shape (p,)
-        Where to begin.
+        Starting values.
     starts : sequence of Equilibrium
-        Of each scan, near there; None to solve from rest.
+        A nearby equilibrium of each scan; None to solve from rest.
     poses : sequence of ndarray, shape (6,), optional
-        Where the scans lie to begin with, see `PredictedScan`; as their headers say.
+        Initial poses of the scans, see `PredictedScan`; by default as in their headers.
     each : callable
-        Calls a function with every scan, as `map` does; maybe several at a time.
+        Applies a function to every scan, like `map`, possibly in parallel.
     max_iterations : int
-        After which it ends wherever it is.
+        Maximum number of iterations.
 
     Returns
     -------
@@ -177,7 +177,7 @@ def fit(
         descent = _Descent(z, predictions, cost, length)
         found = _descend(inverse, unknowns, descent, step, jacobians, each)
         if found is None and not fresh:
-            jacobians = None  # columns taken over from elsewhere may point uphill
+            jacobians = None  # reused columns may point uphill
             continue
         at_rest = expected < SETTINGS.fit.at_rest
         fall = 0.0 if found is None else cost - found.cost
@@ -200,7 +200,7 @@ def fit(
 
 
 def _next_length(length: float, fall: float, expected: float) -> float:
-    """Return with which part of the next step to begin, after one that made the cost fall."""
+    """Return the initial length of the next step, after one that reduced the cost."""
     if fall > SETTINGS.fit.underrated * expected:
         return SETTINGS.fit.further
     return min(1.0, length / SETTINGS.fit.shortening)
@@ -268,9 +268,9 @@ def _local_model(
 def _step(
     u: Unknowns, z: FloatArray, gradient: FloatArray, curvature: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return the step to where the cost should be least, and by how much it should fall.
+    """Return the step to the expected minimum of the cost, and the expected decrease.
 
-    Parameters at a bound that push outwards stay there.
+    Parameters at a bound that would move outwards stay there.
     """
     held = np.zeros(len(z), bool)
     while True:
@@ -292,7 +292,7 @@ def _starts(
     jacobians: Sequence[ScanJacobian],
     change: FloatArray,
 ) -> list[Equilibrium | None]:
-    """Return from where the scans are solved after a change of the parameters, (p,)."""
+    """Return the starting equilibria of the scans after a change of the parameters, (p,)."""
     return [
         inverse.forward.expecting(one.at, np.tensordot(change, jacobian.moved, 1))
         for one, jacobian in zip(predictions, jacobians, strict=True)
@@ -301,7 +301,7 @@ def _starts(
 
 @dataclass(frozen=True, eq=False)
 class _Descent:
-    """Parameters with their cost, and what part of the Gauss-Newton step has led there."""
+    """Parameters with their cost, and the fraction of the Gauss-Newton step taken."""
 
     z: FloatArray
     predictions: tuple[PredictedScan, ...]
@@ -317,7 +317,7 @@ def _descend(
     jacobians: Sequence[ScanJacobian],
     each: Each,
 ) -> _Descent | None:
-    """Try shorter and shorter parts of a step, from the length before, until the cost falls."""
+    """Shorten a step, starting from the previous length, until the cost falls."""
     poses, length = [one.pose for one in before.predictions], before.length
     for _ in range(SETTINGS.fit.max_halvings):
         z = np.clip(before.z + length * step, u.lower, u.upper)

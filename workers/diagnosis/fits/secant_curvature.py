@@ -1,11 +1,11 @@
-r"""Learns from its steps what Gauss and Newton's method leaves out of the curvature.
+r"""Secant estimate of the curvature that the Gauss-Newton method neglects.
 
-The Hessian of half a sum of squares is :math:`A^T A + \sum_i r_i \nabla^2 r_i`. The second part is
-left out where residuals are small or change evenly. What acts at one place of a body moves its
-points unevenly, and noise is never small: there a step along the first part alone falls short of
-what it promises by ten times, and a line search crawls. The second part is learnt as in NL2SOL
-(J. E. Dennis, D. M. Gay and R. E. Welsch, ACM Trans. Math. Softw. 7 (1981) 348), and used for the
-next step where it would have told the last one better.
+The Hessian of half a sum of squares is :math:`A^T A + \sum_i r_i \nabla^2 r_i`. The second part can
+be neglected if residuals are small or nearly linear. A localised effect moves the points
+nonlinearly, and noise is never small: a step based on the first part alone then achieves a tenth of
+the expected decrease, and a line search crawls. The second part is learnt as in NL2SOL (J. E.
+Dennis, D. M. Gay and R. E. Welsch, ACM Trans. Math. Softw. 7 (1981) 348), and used for the next
+step if it would have predicted the last one better.
 """
 
 from dataclasses import dataclass, replace
@@ -20,18 +20,18 @@ SMALLEST = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class LocalModel:
-    """Half the cost around some parameters, in their prior standard deviations.
+    """Quadratic model of half the cost, with parameters in prior standard deviations.
 
     Parameters
     ----------
     columns : ndarray, shape (m, p)
         Derivatives of the whitened residuals.
     residual : ndarray, shape (m,)
-        Whitened, without what poses explain of it.
+        Whitened, without the part that poses explain.
     gradient : ndarray, shape (p,)
-        The prior's included.
+        Including the prior.
     curvature : ndarray, shape (p, p)
-        Of Gauss and Newton, the prior's included.
+        Gauss-Newton curvature, including the prior.
     """
 
     columns: FloatArray
@@ -40,14 +40,14 @@ class LocalModel:
     curvature: FloatArray
 
     def fall(self, step: FloatArray, missing: FloatArray | None = None) -> float:
-        """Return by how much the cost should fall over a step, (p,)."""
+        """Return the expected decrease of the cost over a step, (p,)."""
         bent = self.curvature if missing is None else self.curvature + missing
         return float(-2.0 * self.gradient @ step - step @ bent @ step)
 
 
 @dataclass(frozen=True, eq=False)
 class SecantCurvature:
-    """What the curvature lacks, as the steps so far show it.
+    """The neglected curvature, as estimated from the steps so far.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ class SecantCurvature:
     is_used : bool
         Whether the next step takes it into account.
     last : LocalModel, optional
-        Where the last step began.
+        The model at the start of the last step.
     step : ndarray, shape (p,), optional
-        That step.
+        The last step.
     """
 
     missing: FloatArray
@@ -67,26 +67,26 @@ class SecantCurvature:
 
     @classmethod
     def unknown(cls, parameters: int) -> "SecantCurvature":
-        """Return that of a fit which has not taken a step."""
+        """Return the estimate for a fit that has not taken a step."""
         return cls(np.zeros((parameters, parameters)))
 
     @property
     def is_known(self) -> bool:
-        """Whether any step has told of it."""
+        """Whether any step has contributed to the estimate."""
         return bool(self.missing.any())
 
     def used(self) -> "SecantCurvature":
-        """Return the same, for the next step to take into account."""
+        """Return the estimate, to be used in the next step."""
         return replace(self, is_used=True)
 
     def stepped(self, model: LocalModel, step: FloatArray, fall: float) -> "SecantCurvature":
-        """Return what is kept of a step from a model, over which the cost has fallen."""
+        """Return the estimate with a step from a model recorded, given the decrease in cost."""
         without, with_it = model.fall(step), model.fall(step, self.missing)
         better = self.is_known and abs(fall - with_it) < abs(fall - without)
         return SecantCurvature(self.missing, better, model, step)
 
     def renewed(self, now: LocalModel) -> "SecantCurvature":
-        """Return what is known where the last step has ended."""
+        """Return the estimate updated at the end of the last step."""
         if self.last is None or self.step is None:
             return self
         s, bent = self.step, self.missing
@@ -103,7 +103,7 @@ class SecantCurvature:
         return SecantCurvature(bent, self.is_used)
 
     def forgotten(self) -> "SecantCurvature":
-        """Return the same without the last step, of whose end the derivatives are not known."""
+        """Return the estimate without the last step, if the derivatives at its end are unknown."""
         return replace(self, last=None, step=None)
 
     def curvature(self, model: LocalModel) -> FloatArray:

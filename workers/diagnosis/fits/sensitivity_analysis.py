@@ -1,4 +1,4 @@
-"""What every effect of a catalogue would do to the residuals of the nominal fit."""
+"""Sensitivities of the nominal fit's residuals to every effect of a catalogue."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,15 +25,15 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change,
 
 @dataclass(frozen=True, eq=False)
 class ScanSensitivity:
-    """What one effect would do to the residuals of one scan.
+    """Sensitivity of the residuals of one scan to one effect.
 
     Parameters
     ----------
     columns : ndarray or None
-        Shape (k, q), or (g, k, q) at g places; None for an effect that does nothing there, or
-        that could not be simulated.
+        Shape (k, q), or (g, k, q) at g places; None for an effect that does not act on the scan
+        or could not be simulated.
     idle : bool
-        Whether it does nothing there.
+        Whether the effect does not act on the scan.
     """
 
     columns: FloatArray | None
@@ -45,19 +45,18 @@ def scan_sensitivity(
 ) -> ScanSensitivity:
     """Differentiate the residuals of one scan by the parameters of one effect.
 
-    Two-sided effects are tangents. One-sided ones, which set in with full force and
-    then tire, are secants from neutral; their tangents at zero would mislead. One with a
-    single parameter gets a secant to a small magnitude and one to a prior standard
-    deviation, as if they were places. An effect that acts at one place gets a column of its
-    size for each place of a grid.
+    Two-sided effects use tangents. The response to one-sided effects is steepest at zero and then
+    saturates, so they use secants from neutral. A single parameter gets secants to a small
+    magnitude and to a prior standard deviation, treated like places. A localised effect gets a
+    column of its size for each place of a grid.
 
     Parameters
     ----------
     inverse : InverseProblem
     at : SolvedFit
-        Of the nominal model.
+        Fit of the nominal model.
     number : int
-        Of the scan.
+        Index of the scan.
     effect : Effect
     """
     problem = problem_of(inverse.scans[number], at.unknowns, at.z, inverse.frame)
@@ -69,12 +68,12 @@ def scan_sensitivity(
 def joined_sensitivity(
     effect: Effect, scans: Sequence[ScanSensitivity]
 ) -> EffectSensitivity | None:
-    """Join what an effect does to all scans, one after another; zero where it is idle.
+    """Join the sensitivities of all scans, one after another; zero where the effect is idle.
 
     Returns
     -------
     EffectSensitivity or None
-        None if it does nothing in any scan, or could not be simulated in some.
+        None if the effect acts on no scan, or could not be simulated in some.
     """
     acting = [one.columns for one in scans if one.columns is not None]
     if not acting or not all(one.columns is not None or one.idle for one in scans):
@@ -99,7 +98,7 @@ def joined_sensitivity(
 def _columns(
     inverse: InverseProblem, problem: Problem, prediction: PredictedScan, effect: Effect
 ) -> FloatArray | None:
-    """Return (k, q), or (g, k, q) for what is tried at several places or magnitudes."""
+    """Return columns (k, q), or (g, k, q) for several places or magnitudes."""
     if not effect.acts_on_body:
         return observed_columns(inverse, effect, prediction)
     if effect.place is not None:
@@ -113,7 +112,7 @@ def _columns(
 def _at_places(
     inverse: InverseProblem, prediction: PredictedScan, effect: Effect, place: Place
 ) -> FloatArray:
-    """Return (g, k, q) for q sizes; one-sided differences, for the forces without are at hand."""
+    """Return columns (g, k, q) for q sizes, by one-sided differences from the known forces."""
     without, sizes = prediction.at.problem, range(effect.size_count)
     changes = []
     for offset in places_of(inverse, effect):
@@ -142,11 +141,11 @@ def _yielding(
     free: FloatArray,
     moved: FloatArray,
 ) -> float:
-    """Return by how much the body gives way to a unit of springs, as a part of where it is.
+    """Return the relative decrease in displacement due to a unit of springs.
 
-    Springs k D take off k D u of the load where they hold the body by u; once they hold it, u is
-    shorter by 1 + k c with c = -u'D du/dk / u'Du: exact for a spring at one point of a linear
-    body. `free` are the springs without the change, (n, 3).
+    Springs k D reduce the load by k D u, with u the displacement; u then decreases by a factor of
+    1 + k c with c = -u'D du/dk / u'Du, which is exact for a spring at one point of a linear body.
+    `free` are the springs without the change, (n, 3).
     """
     u = prediction.at.solution.displacement_mm
     force = (spring_stiffness(inverse.model.finest, change.plus) - free) / change.step * u
@@ -187,11 +186,11 @@ def _simulated(
     step: float,
     starts: Sequence[Equilibrium],
 ) -> tuple[Equilibrium, float] | None:
-    """Return the body with one parameter away from neutral, and how far, from one of `starts`.
+    """Return the equilibrium with one parameter off neutral, and the step, from one of `starts`.
 
-    Where that cannot be simulated, half as far is tried: an effect must not go unheard because
-    its plausible size is too much for this body. The way back from a larger magnitude may fail
-    where that from neutral does not.
+    If it cannot be simulated, the step is halved, so that an effect is not missed because its
+    plausible size is too large for this body. Solving from a larger magnitude may fail even if
+    solving from neutral does not.
     """
     for _ in range(1 + SETTINGS.sensitivities.secant_halvings):
         changed = effect.apply(problem, {name: effect.neutral[name] + step}, inverse.frame)

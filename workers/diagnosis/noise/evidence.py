@@ -1,8 +1,8 @@
-"""Weighs hypotheses under noise that is not known exactly: the evidence is averaged over it.
+"""Evidence of hypotheses, averaged over uncertain noise.
 
 The stated covariance factors interface by interface. One Cholesky factor for each correlation
-length whitens everything; scales, the numerical error and a smooth field on top cost systems of
-the size of their columns.
+length whitens everything; scales, the numerical error and a smooth field only add systems of the
+size of their columns.
 """
 
 from collections.abc import Sequence
@@ -19,14 +19,14 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 
 class _Whitened:
-    """Columns in the space where the stated noise is white, and products by groups."""
+    """Columns in the space where the stated noise is white, with inner products by group."""
 
     def __init__(self, factor: FloatArray, masks: Sequence[FloatArray], columns: FloatArray):
         self.columns = np.asarray(solve_triangular(factor, columns, lower=True, check_finite=False))
         self.parts = [self.columns[mask] for mask in masks]
 
     def gram(self, other: "_Whitened") -> list[FloatArray]:
-        """Return ``own' other`` of each group."""
+        """Return ``own' other`` for each group."""
         return [a.T @ b for a, b in zip(self.parts, other.parts, strict=True)]
 
 
@@ -44,10 +44,9 @@ class LinearHypothesis:
         Fit minus prior mean, in prior standard deviations.
     one_sided : ndarray of bool, shape (p,)
     is_pose : ndarray of bool, shape (p,)
-        Which columns are motions of a scan: their prior deviation is averaged over.
+        Whether a column is a motion of a scan, whose prior deviation is averaged over.
     at_bound : ndarray of int, shape (p,), optional
-        Which parameters were stopped at a bound; see `diagnosis.algebra.evidence.log_marginal`.
-        None.
+        Bounds at which parameters were stopped; see `diagnosis.algebra.evidence.log_marginal`.
     """
 
     residual: FloatArray
@@ -59,7 +58,7 @@ class LinearHypothesis:
 
     @property
     def sides(self) -> Sides:
-        """On which side of an edge each parameter must lie."""
+        """Bounds of the parameters and the side on which each must be."""
         return sides(self.offset, self.one_sided, self.at_bound)
 
     def log_marginal(self, q: Quadratic) -> FloatArray:
@@ -67,7 +66,7 @@ class LinearHypothesis:
         return log_marginal(q, self.offset, self.one_sided, self.at_bound)
 
     def with_errors(self, columns: FloatArray, *, are_poses: bool = False) -> "LinearHypothesis":
-        """Return it with more columns of unit deviation, shape (m, q)."""
+        """Return the hypothesis with further columns of unit deviation, shape (m, q)."""
         q = columns.shape[1]
         return LinearHypothesis(
             self.residual,
@@ -80,11 +79,11 @@ class LinearHypothesis:
 
 
 def with_pose_scales(q: Quadratic, is_pose: BoolArray) -> Quadratic:
-    """Return misfits for scans that lie off as far as is stated, and for such as lie nearer.
+    """Return misfits for several prior scales of the poses, the stated one and smaller ones.
 
-    Poses that are known far better from the residuals than before them cost each hypothesis the
-    same, whether it needs them or not. Where scans lie as their headers say, what moves the body
-    as poses do would be lost by that; see `workers.diagnosis.settings.values.PoseSettings.scales`.
+    Residuals determine the poses far better than the prior does, so poses cost each hypothesis the
+    same, whether needed or not. If the scans' headers are accurate, effects that move the body as
+    poses do would then be missed; see `workers.diagnosis.settings.values.PoseSettings.scales`.
     """
     if not is_pose.any():
         return q
@@ -95,12 +94,12 @@ def with_pose_scales(q: Quadratic, is_pose: BoolArray) -> Quadratic:
 
 
 def _joined(q: Quadratic, at: LinearHypothesis) -> float:
-    """Return the log evidence, averaged over the noise and over how far scans may lie off."""
+    """Return the log evidence, averaged over noise states and pose scales."""
     return float(logsumexp(at.log_marginal(with_pose_scales(q, at.is_pose))))
 
 
 class NoiseModel:
-    """The noise of one diagnosis, averaged over what is not known of it.
+    """The uncertain noise of one diagnosis, over which evidence is averaged.
 
     Parameters
     ----------
@@ -110,7 +109,7 @@ class NoiseModel:
     fields : sequence of ndarray, shape (m, r)
         A smooth field of unit amplitude for each of its lengths.
     amplitudes_mm : sequence of float
-        Of that field; all pairs are equally probable.
+        Amplitudes of the field; all pairs of length and amplitude are equally probable.
     """
 
     def __init__(
@@ -140,11 +139,11 @@ class NoiseModel:
 
     @property
     def likeliest(self) -> tuple[NoiseState, ...]:
-        """The states under which a smooth field is weighed."""
+        """The noise states for which a smooth field is evaluated."""
         return self.states[: SETTINGS.noise.field_states]
 
     def products(self, columns: FloatArray, residual: FloatArray) -> "Products":
-        """Return what `plain` and `with_field` need of a hypothesis.
+        """Return the inner products of a hypothesis for `plain` and `with_field`.
 
         Parameters
         ----------
@@ -158,14 +157,14 @@ class NoiseModel:
     def plain(self, products: "Products", states: Sequence[NoiseState] | None = None) -> Quadratic:
         """Return the misfit under every state of the noise, as a stack.
 
-        Weights of the states are in the determinants, so log evidences of a hypothesis are
-        joined by the logarithm of the sum of their exponentials.
+        The determinants include the weights of the states, so the log evidences of a hypothesis
+        are combined by logsumexp.
 
         Parameters
         ----------
         products : Products
         states : sequence of NoiseState, optional
-            Some of them; all.
+            A subset of the states; by default all.
         """
         found = []
         for state in self.states if states is None else states:
@@ -177,10 +176,10 @@ class NoiseModel:
         return Quadratic.stacked(found)
 
     def with_field(self, products: "Products") -> Quadratic:
-        """Return the same with a smooth field in the noise, under the likeliest states.
+        """Return the misfit with a smooth field in the noise, under the likeliest states.
 
-        See `plain`. The states that are left out are made good for by the share that they had
-        when the noise was learnt, with a smooth field then too.
+        See `plain`. Omitted states are compensated by their share when the noise was learnt, which
+        also included a smooth field.
         """
         share = np.log(max(1, self._n_fields) * len(self.amplitudes_mm))
         share += np.log(sum(state.share for state in self.likeliest))
@@ -219,7 +218,7 @@ class NoiseModel:
         Returns
         -------
         list of float, list of float or None
-            Without and with a smooth field in the noise; None where none can be tried.
+            Without and with a smooth field in the noise; None if no field can be tried.
         """
         wide = at.with_errors(errors)
         products = self.products(wide.columns, wide.residual)
@@ -232,7 +231,7 @@ class NoiseModel:
         return each(self.plain(products)), beside
 
     def field_gain(self, at: LinearHypothesis) -> float | None:
-        """Return by how much a smooth field raises it; None without one."""
+        """Return the gain in log evidence from a smooth field; None without one."""
         if not self.has_field:
             return None
         products = self.products(at.columns, at.residual)
@@ -246,7 +245,7 @@ class NoiseModel:
     def _quadratic(
         self, state: NoiseState, own: FloatArray, factor: FloatArray, X: FloatArray
     ) -> Quadratic:
-        """Return the misfit from products of all columns, of which the last is the residual."""
+        """Return the misfit from products of all columns, the last of which is the residual."""
         Y = solve_triangular(factor, X, lower=True, check_finite=False)
         left = own - Y.T @ Y
         return Quadratic(
@@ -300,7 +299,7 @@ class NoiseModel:
 
 
 class Products:
-    """Inner products of the columns of a hypothesis under each correlation length, made once.
+    """Inner products of a hypothesis's columns, cached for each correlation length.
 
     Parameters
     ----------
@@ -314,7 +313,7 @@ class Products:
         self._found: dict[int, tuple[_Whitened, list[FloatArray], list[FloatArray]]] = {}
 
     def under(self, length: int) -> tuple[_Whitened, list[FloatArray], list[FloatArray]]:
-        """Return whitened columns; products of each group with each other and with nuisances."""
+        """Return whitened columns, and their products with each other and with nuisances."""
         found = self._found.get(length)
         if found is None:
             white = self._noise.white(length, self._columns)

@@ -1,10 +1,10 @@
-"""Learns how large and how smooth the noise is, from what nothing explains.
+"""Estimation of the amplitude and correlation length of the noise from unexplained residuals.
 
-The scales come from what no constant, no nuisance and no smooth field explains: the fixed point of
-restricted maximum likelihood, ``s^2 = |e|^2 / tr (I - H)^2`` for each interface, with H the hat
-matrix of all these columns (D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320): what is expected
-of the residuals e if nothing but noise is there. A strong effect therefore does not read as noise.
-A thousand residuals know a scale to a few per cent, so it stays there.
+The scales follow from the residuals that no constant, nuisance or smooth field explains, by the
+fixed point of restricted maximum likelihood, ``s^2 = |e|^2 / tr (I - H)^2`` for each interface,
+with H the hat matrix of all these columns (D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320). This
+matches the residuals e to their expectation under noise alone, so a strong effect is not mistaken
+for noise. A thousand residuals determine a scale to a few per cent, so it is fixed at its optimum.
 """
 
 from collections.abc import Sequence
@@ -23,10 +23,10 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 def learnt_states(
     parts: NoiseParts, columns: FloatArray, residual: FloatArray, field: FloatArray
 ) -> list[NoiseState]:
-    """Return the states of the noise that the average runs over.
+    """Return the noise states to average over.
 
-    The scales at their optimum for every length and size of the numerical error, the likeliest
-    first; states that are hopeless beside it are left out.
+    Scales are at their optimum for every length and size of the numerical error. The likeliest
+    state comes first; states far less likely are omitted.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def learnt_states(
         Derivatives of the residuals by the constants, per prior standard deviation.
     residual : ndarray, shape (m,)
     field : ndarray, shape (m, r)
-        Of a smooth field of middling amplitude, which takes what may be a gap.
+        Columns of a smooth field of middle amplitude, which absorbs a possible gap.
     """
     settings = SETTINGS.noise
     groups = int(parts.groups.max()) + 1
@@ -72,8 +72,8 @@ def learnt_states(
 def _optimum(grams: Sequence[FloatArray], counts: IntArray, scales: FloatArray) -> FloatArray:
     """Return the scale of each group by the fixed point of restricted maximum likelihood.
 
-    The prior of its logarithm enters as some more residuals do.
-    The last row and column of the products are the residual's.
+    The prior of its logarithm acts like additional residuals. The last row and column of the
+    products belong to the residual.
     """
     settings = SETTINGS.noise
     for _ in range(settings.scale_iterations):
@@ -97,7 +97,7 @@ def _optimum(grams: Sequence[FloatArray], counts: IntArray, scales: FloatArray) 
 
 
 def _inverse(positive: FloatArray) -> FloatArray:
-    """Return the inverse of a positive definite matrix, in half the time of that of any."""
+    """Return the inverse of a positive definite matrix, twice as fast as a general inverse."""
     factor, _ = dpotrf(positive, lower=1)
     found, _ = dpotri(factor, lower=1)
     return np.asarray(np.tril(found) + np.tril(found, -1).T)
@@ -112,7 +112,7 @@ def _log_likelihood(grams: Sequence[FloatArray], counts: IntArray, scales: Float
 
 
 def _log_prior(scales: FloatArray, length: float, numerical: float) -> float:
-    """Return that of a state, up to a constant: what all interfaces share, and each its own."""
+    """Return the unnormalised log prior of a state, with common and per-interface scales."""
     settings = SETTINGS.noise
     logs = np.log(scales)
     common = float(logs.mean())

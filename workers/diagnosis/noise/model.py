@@ -1,14 +1,14 @@
-r"""What noise is made of: segmentation, poses and drawing, and numerical errors.
+r"""Components of the noise: segmentation, poses, contour bias and numerical errors.
 
 The covariance of the residuals is
 
 .. math:: C = S C_0(l) S + N N' + \tau^2 M M',
 
-with the covariance C_0 that the case states, of correlation length l; scales S of the segmentation,
-one for each interface; N the columns of `diagnosis.noise.nuisances` for poses and drawing, and M
-those of the numerical error. Scales, l and tau have priors around what is stated or believed:
-`workers.diagnosis.noise.learning` finds what they may be, and `workers.diagnosis.noise.evidence`
-averages the evidence of a hypothesis over that.
+with the covariance C_0 stated in the case, of correlation length l; scales S of the segmentation,
+one for each interface; N the columns of `diagnosis.noise.nuisances` for poses and contour bias, and
+M the columns of the numerical error. Scales, l and tau have priors around the stated or assumed
+values; `workers.diagnosis.noise.learning` finds their likely values, and
+`workers.diagnosis.noise.evidence` averages the evidence of a hypothesis over them.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from palpate.storage.values import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class NoiseParts:
-    """What the noise of the residuals is made of.
+    """Components of the noise of the residuals.
 
     Parameters
     ----------
@@ -30,17 +30,16 @@ class NoiseParts:
         Covariance of the segmentation for each correlation length; residuals of different
         groups do not correlate.
     lengths : tuple of float
-        These lengths over the stated one.
+        These lengths divided by the stated one.
     groups : ndarray of int, shape (m,)
-        Residuals that share a scale: of one interface.
+        Interface of each residual; residuals of one interface share a scale.
     fixed : ndarray, shape (m, q)
-        Nuisances.
+        Columns of nuisances.
     numerical : ndarray, shape (m, r)
-        Numerical error, of the size that is believed.
+        Columns of the numerical error, of the assumed size.
     uneven : ndarray, shape (m,), optional
-        By how much the segmentation errs more at each residual than in the middle of the body,
-        which `stated` contains; see `workers.diagnosis.noise.uneven`. None where that is not
-        learnt.
+        Segmentation noise at each residual relative to the middle of the body, already included in
+        `stated`; see `workers.diagnosis.noise.uneven`. None if it is not learnt.
 
     Raises
     ------
@@ -72,7 +71,7 @@ class NoiseParts:
 
     @property
     def factors(self) -> FloatArray:
-        """Deviation at each residual over that in the middle of the body, shape (m,)."""
+        """Noise at each residual relative to the middle of the body, shape (m,)."""
         return np.ones(self.size) if self.uneven is None else self.uneven
 
     def scatter(self, length: int, scales: FloatArray, numerical: float) -> FloatArray:
@@ -84,20 +83,20 @@ class NoiseParts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseState:
-    """One point of the average.
+    """One possible state of the noise.
 
     Parameters
     ----------
     length : int
-        Number of the correlation length.
+        Index of the correlation length.
     scales : ndarray, shape (groups,)
-        Of the segmentation's standard deviation, over what is stated.
+        Standard deviation of the segmentation divided by the stated one.
     numerical : float
-        Of the numerical error, over what is believed.
+        Numerical error divided by the assumed one.
     log_weight : float
-        Logarithm of its prior.
+        Log prior of the state.
     share : float
-        Its probability, of all states, when the noise was learnt.
+        Probability of the state when the noise was learnt.
     """
 
     length: int
@@ -123,22 +122,22 @@ class LearntNoise:
 
     @property
     def covariance(self) -> FloatArray:
-        """Of the residuals in the likeliest state, shape (m, m), in mm^2."""
+        """Covariance of the residuals in the likeliest state, shape (m, m), in mm^2."""
         return self.scatter + self.parts.fixed @ self.parts.fixed.T
 
     @property
     def scatter(self) -> FloatArray:
-        """The same without the nuisances."""
+        """Covariance without the nuisances, shape (m, m), in mm^2."""
         best = self.states[0]
         return self.parts.scatter(best.length, best.scales, best.numerical)
 
 
 def believed(parts: NoiseParts) -> LearntNoise:
-    """Return noise that is known: as stated, and a numerical error of the size believed."""
+    """Return known noise: the stated one, with a numerical error of the assumed size."""
     scales = np.ones(int(parts.groups.max()) + 1)
     return LearntNoise(parts, (NoiseState(parts.lengths.index(1.0), scales, 1.0, 0.0),))
 
 
 def weighted_sum(weights: FloatArray, parts: Sequence[FloatArray]) -> FloatArray:
-    """Return the sum of matrices of one shape, each times its weight."""
+    """Return the weighted sum of matrices of one shape."""
     return np.asarray(sum(w * part for w, part in zip(weights, parts, strict=True)))

@@ -1,12 +1,12 @@
-r"""What moves residuals without being a gap, as columns with a normal prior of unit deviation.
+r"""Nuisances that change residuals without a gap, as columns with a normal prior of unit deviation.
 
-Every hypothesis has them, "no gap" included: what they can take up is no evidence of anything.
+Every hypothesis includes them, even "no gap": changes that they can absorb are no evidence.
 
-- **Pose**: each scan may lie elsewhere than its header says, as far as a registration leaves it:
-  six rigid columns a scan.
+- **Pose**: each scan may be offset from the position in its header by the error of registration:
+  six rigid columns for each scan.
 - **Drawing**: an interface may be drawn too large or too small as a whole, in one scan or in all.
-- **Numerical error**: another mesh, element or contact moves the interfaces smoothly, the more,
-  the more the load moves them, and in another way where the load comes from another side.
+- **Numerical error**: another mesh, element or contact model moves the interfaces smoothly, by an
+  amount that grows with their displacement and in a pattern that depends on the load direction.
 """
 
 from collections.abc import Sequence
@@ -26,16 +26,16 @@ def pose_columns(
     shift_sd_mm: float,
     turn_sd_deg: float,
 ) -> FloatArray:
-    """Return what a motion of each scan does to all residuals, shape (s k, 6 s).
+    """Return the derivatives of all residuals by a motion of each scan, shape (s k, 6 s).
 
     Parameters
     ----------
     points, normals : sequence of ndarray, shape (k, 3)
-        Of each of s scans: where its interfaces are, and their unit normals.
+        Points of the interfaces and their unit normals, for each of s scans.
     centre_mm : tuple of float
-        About which a scan turns.
+        Centre of rotation of a scan.
     shift_sd_mm, turn_sd_deg : float
-        Along and about each axis; zero for scans that lie where they should.
+        Along and about each axis; zero for scans in exact position.
     """
     sd = np.repeat([shift_sd_mm, turn_sd_deg], 3)
     each = [rigid_columns(p, n, centre_mm) * sd for p, n in zip(points, normals, strict=True)]
@@ -45,16 +45,16 @@ def pose_columns(
 def drawing_columns(
     interface: IntArray, scans: int, common_sd_mm: float, each_sd_mm: float
 ) -> FloatArray:
-    """Return what interfaces drawn too large do, shape (s k, i (s + 1)), for i interfaces.
+    """Return columns for contour bias of i interfaces, shape (s k, i (s + 1)).
 
     Parameters
     ----------
     interface : ndarray of int, shape (k,)
-        Of each point.
+        Interface of each point.
     scans : int
-        Their number s.
+        Number s of scans.
     common_sd_mm, each_sd_mm : float
-        Of the bias in all scans, which is that of the reference scan, and in each one.
+        Bias common to all scans (from the reference scan), and bias of each scan.
     """
     own = np.equal.outer(interface, np.unique(interface)).astype(np.float64)
     common = np.tile(own, (scans, 1))
@@ -77,15 +77,15 @@ def smooth_columns(
     Parameters
     ----------
     points, normals : ndarray, shape (m, 3)
-        Of each residual.
+        For each residual.
     states : ndarray of int, shape (m,)
     sd_mm : ndarray, shape (m,)
-        The displacement's standard deviation s there.
+        Standard deviation s of the displacement.
     length_mm : float
     state_correlation : float or ndarray, shape (s, s)
-        T between any two states, or of each pair; 1 within one.
+        Correlation T between any two states, or for each pair; 1 within a state.
     tolerance : float
-        Part of a variance that may be missing.
+        Fraction of a variance that may be neglected.
     """
     found = smooth_covariance(points, normals, states, length_mm, state_correlation)
     return sd_mm[:, None] * pivoted(found, tolerance)

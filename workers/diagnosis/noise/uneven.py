@@ -1,10 +1,10 @@
-"""Learns how much noisier the scans are at one end of the body than at the other.
+"""Estimation of noise that varies from one end of the body to the other.
 
-The deviation of the segmentation is ``s exp(b t)``, with s of each interface and t the place of a
-point along each axis, -1 and 1 at the ends of the body. Over a correlation length that changes by
-little, so residuals that the stated covariance makes white keep it as their own deviation, and
-their squares are a regression with a logarithmic link (G. K. Smyth, J. R. Stat. Soc. B 51 (1989)
-47). As in `workers.diagnosis.noise.learning` they are squares of what nothing explains.
+The standard deviation of the segmentation is ``s exp(b t)``, with s of each interface and t the
+position along each axis, -1 and 1 at the ends of the body. It changes little over a correlation
+length, so residuals whitened by the stated covariance retain it as their own deviation, and their
+squares follow a regression with a logarithmic link (G. K. Smyth, J. R. Stat. Soc. B 51 (1989) 47).
+As in `workers.diagnosis.noise.learning`, only unexplained residuals are used.
 """
 
 from dataclasses import replace
@@ -20,16 +20,16 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 def with_uneven_noise(
     parts: NoiseParts, places: FloatArray, columns: FloatArray, residual: FloatArray
 ) -> NoiseParts:
-    """Return noise that grows from one end of the body to the other as the residuals do.
+    """Return noise that varies across the body as the residuals do.
 
     Parameters
     ----------
     parts : NoiseParts
-        Of noise that is as large everywhere.
+        With uniform noise.
     places : ndarray, shape (m, 3)
-        Of the points at rest, in mm.
+        Points at rest, in mm.
     columns : ndarray, shape (m, p)
-        All that may explain residuals besides the parts of the noise, per prior deviation.
+        Other possible explanations of the residuals, per prior deviation.
     residual : ndarray, shape (m,)
         In mm.
     """
@@ -44,7 +44,7 @@ def with_uneven_noise(
 
 
 def with_factors(parts: NoiseParts, factors: FloatArray) -> NoiseParts:
-    """Return noise with deviations that are larger by a factor at each residual, shape (m,)."""
+    """Return noise with deviations scaled by a factor for each residual, shape (m,)."""
     stated = tuple(one * factors[:, None] * factors for one in parts.stated)
     return replace(parts, stated=stated, uneven=factors)
 
@@ -52,7 +52,7 @@ def with_factors(parts: NoiseParts, factors: FloatArray) -> NoiseParts:
 def _slopes(white: FloatArray, of_interface: BoolArray, t: FloatArray) -> FloatArray:
     """Return the slopes b along each axis, shape (3,), by Fisher scoring.
 
-    The last column of what is white is the residual.
+    The last whitened column is the residual.
     """
     settings, X, y = SETTINGS.noise, white[:, :-1], white[:, -1]
     design = np.hstack([of_interface, t]).astype(np.float64)
@@ -64,7 +64,7 @@ def _slopes(white: FloatArray, of_interface: BoolArray, t: FloatArray) -> FloatA
         A, r = X / s[:, None], y / s
         inverse = np.linalg.inv(np.eye(A.shape[1]) + A.T @ A)
         left = r - A @ (inverse @ (A.T @ r))
-        # Of (I - H)^2, what noise alone leaves of its variance at each residual.
+        # Diagonal of (I - H)^2: the share of the noise variance left at each residual.
         kept = 1.0 - ((A @ (inverse + inverse @ inverse)) * A).sum(axis=1)
         score = design.T @ (left**2 - kept) - prior @ theta
         step = np.linalg.solve(2.0 * (design * kept[:, None]).T @ design + prior, score)

@@ -1,18 +1,19 @@
-"""Points on interfaces that a scan does not show.
+"""Points on interfaces without a counterpart in a scan.
 
-They are on a piece of tissue that one drawing has and another has not.
+They are on a piece of tissue that is included in one segmentation and missing in another.
 
-Nothing that deforms a body moves one point by millimetres and leaves its neighbours: residuals are
-fitted by constants, poses and a smooth displacement, by least squares that are reweighted so that
-no single point pulls much (Huber's weights), then none at all (Tukey's biweight; P. J. Huber,
-Robust Statistics, 1981). What lies far off such a fit has no counterpart. Nor have a small piece of
-interface, and neighbours, that lie far off what all other points say of their place: a piece that
-only the scan at rest has is off in every other one, each time by what a single point might be. One
-such point of 12 mm among a thousand speaks against every cause in the catalogue with certainty.
+No deformation moves one point by millimetres and leaves its neighbours in place. Residuals are
+therefore fitted by constants, poses and a smooth displacement, with least squares reweighted to
+limit the influence of single points (Huber's weights) and then to remove it (Tukey's biweight; P.
+J. Huber, Robust Statistics, 1981). Points far off this fit have no counterpart. The same holds for
+a small piece of interface, or for neighbours, far off their prediction from all other points: a
+piece present only in the scan at rest is off in every other scan, each time by no more than a
+single point might be. One such point of 12 mm among a thousand would rule out every cause in the
+catalogue.
 
-A displacement that is all but free follows a few points where no others are near. So groups of few
-that lie far off what constants and poses explain are judged once more by all others, under a
-displacement of common size.
+An almost unconstrained displacement follows a few points that have no others nearby. Small groups
+far off the fit by constants and poses are therefore compared once more with all other points, under
+a displacement of usual size.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -27,9 +28,9 @@ from palpate.storage.values import BoolArray, FloatArray, IntArray
 from palpate.workers.comparison.observation.interface import InterfacePoints
 from palpate.workers.diagnosis.settings.values import SETTINGS
 
-# Of the normal distribution, over the median of its absolute values.
+# Standard deviation of a normal distribution divided by the median of its absolute values.
 SD_OF_MEDIAN = 1.4826
-# Logarithm of how probable it is that a residual lies as far off, on either side.
+# Log probability of a residual as far off, on either side.
 _LOG_FAR = float(np.log(2.0) + log_ndtr(-SETTINGS.unmatched.far))
 
 
@@ -41,22 +42,22 @@ def matched(
     residual: FloatArray,
     beside_mm: float,
 ) -> BoolArray:
-    """Return which points have a counterpart in every scan, shape (k,).
+    """Find the points that have a counterpart in every scan, shape (k,).
 
     Parameters
     ----------
     points : InterfacePoints
-        Seen in each of s scans, k of them.
+        The k points compared in each of s scans.
     covariance : ndarray, shape (s k, s k)
-        Of the noise, as it is stated, in mm^2.
+        Stated covariance of the noise, in mm^2.
     columns : ndarray, shape (s k, q)
-        What constants and poses do to the residuals, per prior standard deviation.
+        Derivatives by constants and poses, per prior standard deviation.
     smooth : ndarray, shape (s k, r)
-        The same of a displacement that nobody listed, of common size.
+        Columns of an unlisted displacement of usual size.
     residual : ndarray, shape (s k,)
         In mm.
     beside_mm : float
-        How far around a point that is far off others may be off for the same reason.
+        Radius around an outlier in which other points may be off for the same reason.
     """
     settings = SETTINGS.unmatched
     interface = np.tile(points.interface, len(residual) // len(points))
@@ -77,10 +78,10 @@ def matched(
 def _off_all_others(
     points: InterfacePoints, fit: "_Fit", beside_mm: float
 ) -> tuple["_Fit", BoolArray]:
-    """Return a fit without what lies far off it, and which points do in each scan, (s, k).
+    """Return a fit without outliers, and the outliers in each scan, shape (s, k).
 
-    Small pieces as a whole; then single points, neighbours that are improbable together, and what
-    is beside either.
+    Outliers are small pieces as a whole; then single points, neighbours that are improbable
+    together, and doubtful points near either.
     """
     settings, scans = SETTINGS.unmatched, len(fit.residual) // len(points)
     off = np.zeros((scans, len(points)), np.bool_)
@@ -101,7 +102,7 @@ def _off_all_others(
 def _far_groups(
     points: InterfacePoints, plain: "_Fit", shown: BoolArray, beside_mm: float
 ) -> list[IntArray]:
-    """Return groups of few neighbours that lie far off what constants and poses explain."""
+    """Return small groups of neighbours far off the fit by constants and poses."""
     far = (np.abs(plain.away) / plain.scale).reshape(-1, len(points)).max(axis=0)
     which = np.flatnonzero(shown & (far > SETTINGS.unmatched.far)).astype(np.int32)
     tree = KDTree(points.points[which].reshape(-1, 3))
@@ -112,13 +113,13 @@ def _far_groups(
 
 
 def _as_large_as_seen(smooth: FloatArray, displacement: FloatArray) -> float:
-    """Return how much larger than common a displacement is, (s k,); at least one."""
+    """Return the size of a displacement, (s k,), relative to the usual one; at least one."""
     common = float(np.sqrt((smooth**2).sum(axis=1).mean()))
     return max(1.0, float(np.sqrt((displacement**2).mean())) / common)
 
 
 def _improbable_together(fit: "_Fit", far: FloatArray, around: Sequence[IntArray]) -> BoolArray:
-    """Return which points lie off with their neighbours, by little in each of all scans, (k,)."""
+    """Find points that are slightly off in all scans together with their neighbours, (k,)."""
     doubtful = np.asarray((far > SETTINGS.unmatched.beside).any(axis=0))
     found = np.zeros(len(doubtful), np.bool_)
     for one in np.flatnonzero(doubtful).tolist():
@@ -129,7 +130,7 @@ def _improbable_together(fit: "_Fit", far: FloatArray, around: Sequence[IntArray
 
 
 def _small_pieces(points: InterfacePoints) -> Iterator[IntArray]:
-    """Yield the numbers of the points of each connected piece of few."""
+    """Yield the indices of the points of each small connected piece."""
     for part in np.unique(points.part):
         piece = np.flatnonzero(points.part == part).astype(np.int32)
         if len(piece) <= SETTINGS.unmatched.small_piece:
@@ -138,29 +139,29 @@ def _small_pieces(points: InterfacePoints) -> Iterator[IntArray]:
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """What rows of some points leave of a fit of all others: (s, n) in mm, and its covariance."""
+    """Residuals of points in a fit to all others, (s, n) in mm, with their covariance."""
 
     away: FloatArray
     covariance: FloatArray
 
     @property
     def is_far(self) -> bool:
-        """Whether most points lie far off in some scan."""
+        """Whether most points are far off in some scan."""
         relative = np.abs(self.away) / np.sqrt(np.diag(self.covariance)).reshape(self.away.shape)
         return bool(np.median(relative, axis=1).max() > SETTINGS.unmatched.far)
 
     @property
     def is_improbable(self) -> bool:
-        """Whether all of them together are as improbable as one residual that is far off."""
+        """Whether the points together are as improbable as one residual that is far off."""
         away = self.away.ravel()
         squares = away @ np.linalg.solve(self.covariance, away)
-        # The part of a chi-squared distribution that lies further out.
+        # The upper tail of a chi-squared distribution.
         return bool(gammaincc(len(away) / 2, squares / 2) < np.exp(_LOG_FAR))
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A reweighted fit: of what, with which rows, and what it leaves."""
+    """A reweighted fit: its columns, the rows in use, and its residuals."""
 
     columns: FloatArray
     residual: FloatArray
@@ -172,12 +173,12 @@ class _Fit:
 
     @property
     def stated_mm(self) -> FloatArray:
-        """Standard deviation of each residual, as it is stated."""
+        """Stated standard deviation of each residual."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def scale(self) -> FloatArray:
-        """Robust deviation of each residual's interface, in mm; no less than plausible."""
+        """Robust deviation of each residual's interface, in mm, with a plausible minimum."""
         stated_mm = self.stated_mm
         relative = np.abs(self.away / stated_mm)
         found = np.empty(len(relative))
@@ -188,7 +189,7 @@ class _Fit:
         return np.asarray(np.maximum(found, SETTINGS.unmatched.least_scale) * stated_mm)
 
     def reweighted(self, weigh: Callable[[FloatArray], FloatArray]) -> "_Fit":
-        """Return the fit under such weights, begun from what this one leaves."""
+        """Return the fit under new weights, starting from the residuals of this one."""
         at, before = self, np.full(len(self.residual), np.inf)
         for _ in range(SETTINGS.unmatched.iterations):
             scale = at.scale
@@ -202,13 +203,13 @@ class _Fit:
         return at
 
     def of(self, shown: BoolArray) -> "_Fit":
-        """Return the fit to some of the points alone, shape (k,)."""
+        """Return the fit to a subset of the points, shape (k,)."""
         use = np.tile(shown, len(self.residual) // len(shown)).astype(np.float64)
         fit = replace(self, use=use).reweighted(_huber)
         return fit.reweighted(_biweight)
 
     def judged_by_others(self, piece: IntArray, scans: int) -> _Judged:
-        """Return what some points leave of the fit of all others, in all scans."""
+        """Return the residuals of some points in a fit to all others, in all scans."""
         assert self.weights is not None
         rows = (np.arange(scans)[:, None] * (len(self.residual) // scans) + piece).ravel()
         weights = self.weights.copy()
@@ -224,10 +225,10 @@ class _Fit:
 
 
 def _huber(away: FloatArray) -> FloatArray:
-    """Return weights under which the fit has one optimum only."""
+    """Return Huber's weights, under which the fit has a single optimum."""
     return np.asarray(np.minimum(1.0, SETTINGS.unmatched.huber / np.maximum(np.abs(away), 1e-12)))
 
 
 def _biweight(away: FloatArray) -> FloatArray:
-    """Return weights that are zero far away."""
+    """Return Tukey's biweights, which are zero for outliers."""
     return np.asarray(np.maximum(1.0 - (away / SETTINGS.unmatched.biweight) ** 2, 0.0) ** 2)

@@ -1,7 +1,7 @@
-"""What the data could show of an effect at all: known before any residual is seen.
+"""Detectability of effects, computed without the residuals.
 
-Columns are whitened and per prior standard deviation, so that parameters with
-different units can be added up.
+Columns are whitened and per prior standard deviation, so parameters with different units can be
+added up.
 """
 
 from collections.abc import Sequence
@@ -18,14 +18,14 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 NONCENTRALITY = float(
     (ndtri(1 - SETTINGS.detectability.significance / 2) + ndtri(SETTINGS.detectability.power)) ** 2
 )
-"""11.7: a two-sided test at 1 % finds what is this strong in 80 % of cases."""
+"""11.7: a two-sided test at 1 % detects an effect of this strength with 80 % power."""
 
 
-INVISIBLE = 1e-6  # of an effect: what the projection leaves is then rounding
+INVISIBLE = 1e-6  # share of an effect below which the projected part is rounding error
 
 
 def absorbed_share(problem: Linearised, whitened: FloatArray) -> float:
-    """``1 - |P B|^2 / |B|^2``: how much of an effect hides in the nominal parameters.
+    """Return ``1 - |P B|^2 / |B|^2``, the share of an effect that nominal parameters absorb.
 
     Parameters
     ----------
@@ -36,17 +36,17 @@ def absorbed_share(problem: Linearised, whitened: FloatArray) -> float:
     Returns
     -------
     float
-        0 to 1; 1 also for an effect that changes nothing.
+        0 to 1; also 1 for an effect without influence.
     """
     total = float((whitened**2).sum())
     return 1.0 - float((problem.project(whitened) ** 2).sum()) / total if total > 0 else 1.0
 
 
 def hides(problem: Linearised, whitened: FloatArray) -> bool:
-    """Return whether the nominal parameters take all of an effect, or what they leave is too weak.
+    """Check whether nominal parameters absorb an effect, or leave too little of it to detect.
 
-    Weak is what the test of `NONCENTRALITY` would miss at a prior standard deviation, on
-    average over the parameters.
+    Too little means that the test of `NONCENTRALITY` would miss it at a prior standard deviation,
+    on average over the parameters.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ def hides(problem: Linearised, whitened: FloatArray) -> bool:
 
 
 def minimum_detectable(problem: Linearised, sensitivity: EffectSensitivity) -> FloatArray:
-    """Return magnitudes found with 80 % power at 1 % false alarms, each parameter alone.
+    """Return the magnitudes detected with 80 % power at 1 % false alarms, each parameter alone.
 
     ``sqrt(11.7 / B'PB)``, in the units of the parameters.
 
     Returns
     -------
     ndarray, shape (q,)
-        Median over the places; inf where nothing is visible.
+        Median over the places; inf for an invisible parameter.
     """
     information = np.array(
         [(B * problem.project(B)).sum(axis=0) for B in sensitivity.whitened(problem)]
@@ -80,11 +80,11 @@ def minimum_detectable(problem: Linearised, sensitivity: EffectSensitivity) -> F
 
 
 def confusion(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) -> FloatArray:
-    """Return how alike the visible parts of two effects can look.
+    """Return the largest similarity between the visible parts of each pair of effects.
 
     The largest canonical correlation, the cosine of the smallest principal angle
     (A. Bjorck and G. H. Golub, Math. Comput. 27 (1973) 579), of the projected columns;
-    for effects with places the largest over the places.
+    for effects with places, the largest over the places.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def confusion(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) -
 
 
 def _basis(problem: Linearised, whitened: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of what is visible, shape (m, rank)."""
+    """Return an orthonormal basis of the visible part of an effect, shape (m, rank)."""
     u, s, _ = svd(problem.project(whitened), full_matrices=False)
     return np.asarray(u[:, s > INVISIBLE * np.linalg.norm(whitened)])
 

@@ -1,15 +1,15 @@
-"""How far a real effect's pattern may differ from that of the catalogue.
+"""Error of form: the difference between a real effect's pattern and the catalogue's.
 
-No real effect has just the form that is listed: friction has another law, a gradient another
-shape. Where an effect changes the residuals by a pattern, it may in truth change them by a pattern
-that is smoothly a fifth larger here and smaller there. The error is that of a displacement: it
-moves both sides of a layer alike, so that one residual grows and the other one shrinks. As columns
-with a prior these errors enter the evidence of the hypothesis: a strong effect then does not lose
-to a field that mends its form, and does not beat a relative by some nats of hundreds; a weak one is
-hardly touched. How large the error is, is not known: the evidence is averaged over that.
+No real effect has exactly the listed form: friction follows another law, a gradient has another
+shape. The true pattern of changed residuals may be smoothly a fifth larger in one place and smaller
+in another. The error acts as a displacement: it moves both sides of a layer alike, so that one
+residual grows and the other shrinks. These errors enter the evidence as columns with a prior. A
+strong effect then neither loses to a field that corrects its form nor beats a similar effect by a
+few nats out of hundreds; a weak effect is hardly changed. The evidence is averaged over the unknown
+size of the error.
 
-A cause that is not listed may resemble one that is. Its pattern then differs by more: the same
-hypothesis with errors of form that are larger on the whole, in which the effects do not act.
+An unlisted cause may resemble a listed one, with larger differences in the pattern. It is modelled
+as the same hypothesis with larger errors of form, in which the effects do not act.
 """
 
 from collections.abc import Sequence
@@ -24,17 +24,17 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 
 class FormError:
-    """Errors of any pattern on the residuals' points.
+    """Errors of form for any pattern on the points of the residuals.
 
     Parameters
     ----------
     points, normals : ndarray, shape (m, 3)
-        At rest, of each residual.
+        At rest, for each residual.
     states : ndarray of int, shape (m,)
     state_correlation : ndarray, shape (s, s)
-        Of each pair of states.
+        For each pair of states.
     field_length_mm : float
-        The middle one of the smooth field that stands for something else.
+        Middle correlation length of the smooth field for unlisted causes.
     """
 
     def __init__(
@@ -62,8 +62,8 @@ class FormError:
         Parameters
         ----------
         pattern : ndarray, shape (m,)
-            What the effects of a hypothesis change of the residuals, once constants and poses
-            have followed, in mm.
+            Change of the residuals due to the effects of a hypothesis, after refitting constants
+            and poses, in mm.
         """
         return self.envelope(pattern)[:, None] * self._modes
 
@@ -73,18 +73,18 @@ class FormError:
 
 
 def acting_or_alike(log_evidences: Sequence[float]) -> tuple[float, float]:
-    """Return the log evidence of effects, whatever their error of form, and whether they act.
+    """Return the log evidence averaged over errors of form, and the probability of acting.
 
     Parameters
     ----------
     log_evidences : sequence of float
-        With errors of each of ``SETTINGS.form.relative_sds``.
+        For errors of each size in ``SETTINGS.form.relative_sds``.
 
     Returns
     -------
     tuple of float
-        Log evidence of effects that act or only resemble a cause that is not listed; and how
-        probably they act.
+        Log evidence of effects that act or only resemble an unlisted cause; and the probability
+        that they act.
     """
     settings = SETTINGS.form
     acts = np.log1p(-settings.likeness) + _averaged(log_evidences, settings.typical_sd)
@@ -94,14 +94,14 @@ def acting_or_alike(log_evidences: Sequence[float]) -> tuple[float, float]:
 
 
 def log_prior_of_sizes() -> FloatArray:
-    """Return that of each of ``SETTINGS.form.relative_sds``, whether the effects act or not."""
+    """Return the log prior of ``SETTINGS.form.relative_sds``, whether or not the effects act."""
     settings = SETTINGS.form
     acts = (1.0 - settings.likeness) * _weights(settings.typical_sd)
     return np.asarray(np.log(acts + settings.likeness * _weights(settings.likeness_sd)))
 
 
 def _averaged(log_evidences: Sequence[float], typical_sd: float) -> float:
-    """Average over the size of the error, whose logarithm is normal about that of `typical_sd`."""
+    """Average over the size of the error, log-normal with median `typical_sd`."""
     return float(logsumexp(log_evidences, b=_weights(typical_sd)))
 
 

@@ -1,8 +1,8 @@
-"""A constant that the model holds is not known exactly.
+"""Uncertainty of constants that are held fixed.
 
-A case states Poisson's ratio, and every hypothesis holds it. A stated 0.490 is a number with three
-digits: what 0.002 more or less do to the residuals belongs to the noise of all hypotheses. The
-effect of the catalogue that changes it is far larger.
+Every hypothesis holds Poisson's ratio at the value stated in the case. A stated 0.490 has three
+digits, so the changes due to +-0.002 belong to the noise of all hypotheses. The catalogue's effect
+that changes it is far larger.
 """
 
 from collections.abc import Iterable
@@ -19,9 +19,9 @@ def held_columns(sensitivities: Iterable[EffectSensitivity], residuals: int) -> 
     Parameters
     ----------
     sensitivities : iterable of EffectSensitivity
-        Those without a `held_sd` are left out.
+        Those without a `held_sd` are ignored.
     residuals : int
-        Their number m.
+        Number m of residuals.
     """
     held = [one.places[0] * np.array(one.held_sd) for one in sensitivities if one.held_sd]
     return np.hstack([np.zeros((residuals, 0)), *held])

@@ -1,7 +1,7 @@
-"""The nominal model at its optimum, and what every effect would do to its residuals.
+"""The nominal model at its optimum, with the sensitivities of all effects.
 
-All that is known before any effect is fitted. What only a part of the tasks needs, such as the
-smooth field, is computed when it is first asked for.
+This is the state before any effect is fitted. Quantities needed only by some tasks, such as the
+smooth field, are computed on first use.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,12 +35,12 @@ class NominalAnalysis:
     inverse : InverseProblem
         With the points and the noise of the calibration.
     nominal : SolvedFit
-        Of the constants alone.
+        Fit of the constants alone.
     sensitivities : sequence of EffectSensitivity
-        Of the effects that act on some scan and could be simulated.
+        For the effects that act on some scan and could be simulated.
     begun : mapping of str to mapping
-        Constants and parameters of single effects that were fitted under an earlier reading
-        of the noise, by the name of the effect: where their fits begin.
+        Starting values by the name of the effect: constants and parameters of single effects that
+        were fitted with an earlier estimate of the noise.
     """
 
     inverse: InverseProblem
@@ -55,28 +55,28 @@ class NominalAnalysis:
 
     @cached_property
     def linear_with_poses(self) -> Linearised:
-        """The same with poses and drawing as free parameters."""
+        """Residuals, derivatives and noise with poses and contour bias as free parameters."""
         return self.nominal.linearised_with_poses(self.inverse)
 
     @cached_property
     def screening(self) -> tuple[ScreeningResult, ...]:
-        """Every effect on its own in the linear model, the largest Bayes factor first."""
+        """Screening results of single effects, the largest Bayes factor first."""
         return screen(self.linear, self.sensitivities)
 
     def places(self, effect: Effect) -> FloatArray:
-        """Return the places at which an effect was looked for; see `places_of`."""
+        """Return the places at which an effect was tried; see `places_of`."""
         return places_of(self.inverse, effect)
 
     def is_steep(self, effect: Effect) -> bool:
-        """Return whether an effect grows faster than its magnitude.
+        """Check whether the response to an effect grows faster than its magnitude.
 
-        The linear model then has little of what a large one does.
+        The linear model then underestimates a large effect.
         """
         return effect.place is None and self.sensitivity_by_name[effect.name].is_steep
 
     @cached_property
     def noise(self) -> NoiseModel:
-        """The noise that every hypothesis has, with the smooth field for unlisted causes.
+        """Noise model of all hypotheses, with the smooth field for unlisted causes.
 
         Takes seconds for 4,000 residuals.
         """
@@ -86,22 +86,22 @@ class NominalAnalysis:
         return NoiseModel(learnt.parts, learnt.states, self.fields, prior.amplitudes_mm)
 
     def hypothesis(self, at: Fit) -> LinearHypothesis:
-        """Return a fit for `noise`, less what the roughness of the drawn surface looks like.
+        """Return a fit as input for `noise`, corrected for the roughness of the drawn surface.
 
-        A constant that the model holds is as uncertain in it as it is for all.
+        The uncertainty of constants that are held fixed is included.
         """
         found = at.hypothesis(self.inverse).with_errors(self._held)
         return found if self._rough is None else self._rough.taken_off(found)
 
     @cached_property
     def _held(self) -> FloatArray:
-        """None where markers are measured: there, constants that are not known are fitted."""
+        """Columns of held constants; empty for markers, where uncertain constants are fitted."""
         m = len(self.inverse.bias)
         return held_columns(self.sensitivities if self.inverse.is_segmented else (), m)
 
     @cached_property
     def _rough(self) -> RoughSurface | None:
-        """None where no effect looks so, or interfaces were measured or drawn without error."""
+        """None if no effect resembles roughness, or interfaces were measured or have no error."""
         skin = next((one for one in self.sensitivities if one.resembles_roughness), None)
         drawn_sd_mm, learnt = self.inverse.noise.reference_sd_mm, self.inverse.learnt
         if skin is None or learnt is None or not (self.inverse.is_segmented and drawn_sd_mm):
@@ -109,7 +109,7 @@ class NominalAnalysis:
         return RoughSurface.like(skin, drawn_sd_mm * float(learnt.states[0].scales[0]))
 
     def registered(self, change: FloatArray) -> FloatArray:
-        """Return a change of the residuals, shape (m,), less what poses and drawing take of it."""
+        """Return a change of the residuals, (m,), without the part that the nuisances absorb."""
         poses = self.nominal.pose_columns(self.inverse)
         nuisances = np.hstack([poses, self.inverse.drawing])
         white = self.linear.whiten(np.column_stack([nuisances, change]))
@@ -117,13 +117,13 @@ class NominalAnalysis:
 
     @cached_property
     def fields(self) -> tuple[FloatArray, ...]:
-        """Columns of a smooth field of unit amplitude, (m, r) in mm, for each of its lengths."""
+        """Columns of a smooth field of unit amplitude, (m, r) in mm, for each length."""
         lengths = self.inverse.something_else.lengths_mm
         return tuple(self._smooth_columns(length) for length in lengths)
 
     @property
     def field(self) -> FloatArray:
-        """Columns of a smooth field of middling amplitude and length, shape (m, r), in mm."""
+        """Columns of a smooth field of middle amplitude and length, shape (m, r), in mm."""
         prior = self.inverse.something_else
         return prior.middle_amplitude_mm * self._smooth_columns(prior.middle_length_mm)
 
@@ -141,7 +141,7 @@ class NominalAnalysis:
 
     @cached_property
     def form(self) -> FormError:
-        """How far patterns may differ from those of the catalogue."""
+        """Errors of form of the catalogue's patterns."""
         inverse = self.inverse
         normals = np.tile(inverse.points.normals, (len(inverse.scans), 1))
         length_mm = inverse.something_else.middle_length_mm
@@ -149,7 +149,7 @@ class NominalAnalysis:
         return FormError(self._points, normals, inverse.rows, between, length_mm)
 
     def errors_of_form(self, at: LinearHypothesis) -> FloatArray:
-        """Return columns of unit deviation for an error as large as what the effects change."""
+        """Return columns of unit deviation for an error as large as the change by the effects."""
         changed = self.hypothesis(self.nominal).residual - at.residual
         return self.form.columns(self.registered(changed))
 

@@ -1,11 +1,11 @@
-"""What a mesh lacks at its surface that is as rough as the scan at rest was drawn.
+"""Bias from the roughness of the mesh surface, inherited from the segmentation at rest.
 
-The mesh is made of a drawn interface, smoothed, but not free of the error with which it was drawn;
-the body is smooth. Bodies that have no skin are found to have a little one, nearly always above
-zero: of the noise alone as well as of the model's true error. What explains the first is that
-tension pulls bumps flat, and the residuals have the same bumps in them, since they begin at the
-scan at rest; such a bias grows with the square of the roughness, which is assumed here and was not
-measured. Every hypothesis has as much of it as was found, give or take what that scatters.
+The mesh is made from a smoothed segmented interface and retains some of its error, while the body
+is smooth. Bodies without a skin therefore appear to have a slight one, nearly always above zero,
+both from noise alone and from the model's true error. The likely reason for the first is that
+tension flattens bumps, and the residuals contain the same bumps, as they start from the scan at
+rest. Such a bias grows with the square of the roughness; this is assumed here and was not measured.
+Every hypothesis includes the observed bias with its scatter.
 """
 
 from dataclasses import dataclass, replace
@@ -20,14 +20,14 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 @dataclass(frozen=True, eq=False)
 class RoughSurface:
-    """Residuals that look like a skin.
+    """Residuals that resemble the effect of a skin.
 
     Parameters
     ----------
     expected : ndarray, shape (m,)
         In mm.
     column : ndarray, shape (m, 1)
-        One standard deviation of it.
+        One standard deviation of the bias.
     """
 
     expected: FloatArray
@@ -35,12 +35,12 @@ class RoughSurface:
 
     @staticmethod
     def like(skin: EffectSensitivity, drawn_sd_mm: float) -> "RoughSurface":
-        """Return that of a scan at rest whose outline was drawn with this error.
+        """Return the bias for a scan at rest whose outline has the given error.
 
         Parameters
         ----------
         skin : EffectSensitivity
-            Of a stiffness per width, in N/mm; the least magnitude that was tried counts.
+            For a stiffness per width, in N/mm; the smallest magnitude tried is used.
         drawn_sd_mm : float
         """
         settings = SETTINGS.noise
@@ -52,5 +52,5 @@ class RoughSurface:
         )
 
     def taken_off(self, at: LinearHypothesis) -> LinearHypothesis:
-        """Return a hypothesis whose residuals are less by it, as far as it is known."""
+        """Return a hypothesis with the expected bias subtracted and its uncertainty added."""
         return replace(at, residual=at.residual - self.expected).with_errors(self.column)

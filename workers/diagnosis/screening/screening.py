@@ -1,4 +1,4 @@
-r"""Which effects the residual speaks for, without solving anything again.
+r"""Linear screening: the support of the residual for each effect, without solving again.
 
 For an effect with columns B (whitened) and prior covariance S, and the efficient
 residual P rho of `Linearised`:
@@ -10,8 +10,8 @@ residual P rho of `Linearised`:
 T is Rao's score with a prior, the modification index of structural equation models;
 the estimate is the expected parameter change (W. E. Saris, A. Satorra and
 W. M. van der Veld, Struct. Equ. Modeling 16 (2009) 561). A half-normal prior multiplies
-the Bayes factor by Phi(estimate / sd) / 0.5. An effect that may sit at many places is
-averaged over them, which pays for having looked everywhere.
+the Bayes factor by Phi(estimate / sd) / 0.5. An effect with many possible places is averaged over
+them, which corrects for having tried many.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from palpate.workers.diagnosis.screening.detectability import absorbed_share, hi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScreeningResult:
-    """What the screening says of one effect.
+    """Screening result of one effect.
 
     Parameters
     ----------
@@ -38,19 +38,19 @@ class ScreeningResult:
         T, at the best place.
     estimate, estimate_sd : ndarray, shape (q,)
         Expected parameters and their standard deviations, at the best place and in their
-        units. That of a one-sided parameter may come out negative: the data then pull
-        the other way.
+        units. The estimate of a one-sided parameter may be negative, if the data favour the
+        opposite sign.
     log_bayes_factor : float
         Against the effect being absent, in nats; averaged over the places.
     absorbed : float
-        Share of the effect that the nominal parameters hide, 0 to 1; at the best place.
+        Share of the effect that the nominal parameters absorb, 0 to 1; at the best place.
     hides : bool
-        Whether they hide all that the data could show; see
+        Whether they hide everything that the data could show; see
         `workers.diagnosis.screening.detectability.hides`.
     place : int
-        The best place, or magnitude of an effect that is tried at several; 0 for others.
+        Index of the best place, or of the best magnitude if several are tried; otherwise 0.
     place_log_bayes_factors : ndarray, shape (g,)
-        Of each place or magnitude.
+        For each place or magnitude.
     """
 
     name: str
@@ -67,7 +67,7 @@ class ScreeningResult:
 def screen(
     problem: Linearised, sensitivities: Sequence[EffectSensitivity]
 ) -> tuple[ScreeningResult, ...]:
-    """Look at every effect on its own.
+    """Screen every effect on its own.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def screen(
     Raises
     ------
     InputError
-        If a sensitivity has another number of residuals.
+        If the number of residuals of a sensitivity differs.
     """
     screening = [_look_at(problem, sensitivity) for sensitivity in sensitivities]
     return tuple(sorted(screening, key=lambda result: -result.log_bayes_factor))
@@ -113,7 +113,7 @@ def _look_at(problem: Linearised, sensitivity: EffectSensitivity) -> ScreeningRe
 def _efficient(problem: Linearised, B: FloatArray) -> Quadratic:
     """Return the misfit as a function of the effect alone, nominal parameters integrated out.
 
-    Its constant part belongs to both hypotheses and is left out.
+    The constant part is common to both hypotheses and omitted.
     """
     gradient = B.T @ problem.efficient_residual
     return Quadratic(np.zeros(()), gradient, B.T @ problem.project(B), np.zeros(()))

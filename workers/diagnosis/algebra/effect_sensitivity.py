@@ -1,4 +1,4 @@
-"""What an effect would do to the residuals."""
+"""Sensitivity of the residuals to an effect."""
 
 from dataclasses import dataclass
 
@@ -17,14 +17,14 @@ class EffectSensitivity:
     ----------
     name : str
     family : str
-        Near relatives share it.
+        Shared by similar effects.
     columns : ndarray, shape (m, q) or (g, m, q)
-        In mm per unit; a stack for an effect that is tried at g places, or at g magnitudes, the
-        largest first.
+        In mm per unit; a stack for an effect tried at g places, or at g magnitudes, the largest
+        first.
     prior_sd : ndarray, shape (q,)
-        On which scale each parameter is plausible, > 0.
+        Plausible scale of each parameter, > 0.
     one_sided : ndarray of bool, shape (q,)
-        Whether a parameter is zero or positive; its prior is half-normal.
+        Whether a parameter is nonnegative, with a half-normal prior.
     held_sd : tuple of float
         See `Effect.held_sd`.
     resembles_roughness : bool
@@ -56,7 +56,7 @@ class EffectSensitivity:
         if not np.isfinite(self.columns).all() or not (self.prior_sd > 0).all():
             raise InputError(
                 f"The effect {self.name} needs finite columns and prior_sd > 0, found "
-                f"{int((~np.isfinite(self.columns)).sum())} columns' entries not finite and "
+                f"{int((~np.isfinite(self.columns)).sum())} non-finite entries in columns and "
                 f"prior_sd {self.prior_sd.tolist()}."
             )
 
@@ -67,12 +67,12 @@ class EffectSensitivity:
 
     @property
     def places(self) -> FloatArray:
-        """Columns of each place or magnitude, shape (g, m, q); one for an effect without."""
+        """Columns of each place or magnitude, shape (g, m, q), with g = 1 if there is only one."""
         return self.columns if self.is_stacked else self.columns[None]
 
     @property
     def is_steep(self) -> bool:
-        """Whether an effect that is tried at several magnitudes grows faster than these."""
+        """Whether the response to an effect grows faster than its magnitude."""
         large, small = np.linalg.norm(self.places[[0, -1], :, 0], axis=1)
         return bool(large > small)
 
@@ -82,12 +82,12 @@ class EffectSensitivity:
         Raises
         ------
         InputError
-            If the problem has another number of residuals.
+            If the number of residuals of the problem differs.
         """
         g, m, q = self.places.shape
         if m != problem.size:
             raise InputError(
-                f"The effect {self.name} has columns for {m} residuals, the problem has "
+                f"The effect {self.name} has columns for {m} residuals, but the problem has "
                 f"{problem.size}. Both must list the same points of the same states."
             )
         flat = self.places.transpose(1, 0, 2).reshape(m, g * q)

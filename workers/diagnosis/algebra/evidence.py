@@ -1,15 +1,14 @@
-r"""Laplace's log evidence of a fit: how probable the data are under a hypothesis.
+r"""Laplace's log evidence of a fit: the log probability of the data under a hypothesis.
 
 .. math:: \ln p = -\tfrac12 \chi^2 - \tfrac12 \delta'\Lambda\delta + \tfrac12 g'H^{-1}g
           - \tfrac12 \ln|H| - \sum \ln sd + n_1 \ln 2 + \ln \Pr(\text{one-sided} > 0),
 
 with :math:`H = J'C^{-1}J + \Lambda`, the gradient g, which is zero at a converged inner
-optimum, and n_1 half-normal priors. The last term is the part of the posterior normal,
-centred one Newton step away, that lies on the admissible side; it makes the formula hold
-at a bound, where g is not zero. So it does for one that was stopped at another bound of its
-interval, without the ln 2: only what lies inside counts. What all hypotheses share,
--(m/2) ln 2 pi - ln|C|/2, is left out: hypotheses with different numbers of parameters
-compare, other data do not.
+optimum, and n_1 half-normal priors. The last term is the probability of the admissible side under
+the posterior normal, centred one Newton step away; it makes the formula hold at a bound, where g is
+not zero. A parameter stopped at another bound of its interval is treated alike, without the ln 2.
+The common term -(m/2) ln 2 pi - ln|C|/2 is omitted, so only hypotheses about the same data can be
+compared; their numbers of parameters may differ.
 
 Exact for a linear model; D. J. C. MacKay, Neural Computation 4 (1992) 415, for others.
 """
@@ -25,9 +24,9 @@ from palpate.workers.diagnosis.algebra.linearisation import Linearised
 
 
 class Quadratic(NamedTuple):
-    """The misfit around a fit, or a stack of them of any shape, written as dots.
+    """The quadratic misfit around a fit, or a stack of misfits of any shape, written as dots.
 
-    Parameters are counted in prior standard deviations.
+    Parameters are in prior standard deviations.
 
     Parameters
     ----------
@@ -48,11 +47,11 @@ class Quadratic(NamedTuple):
 
     @classmethod
     def stacked(cls, several: Sequence["Quadratic"]) -> "Quadratic":
-        """Return some of one shape as one, along a new first axis."""
+        """Stack misfits of one shape along a new first axis."""
         return cls(*(np.stack(parts) for parts in zip(*several, strict=True)))
 
     def of(self, which: IntArray) -> "Quadratic":
-        """Return the same with only some parameters free, for each row of which, (g, k)."""
+        """Return the misfit with only some parameters free, for each row of `which`, (g, k)."""
         return Quadratic(
             self.misfit[..., None],
             self.gradient[..., which],
@@ -61,7 +60,7 @@ class Quadratic(NamedTuple):
         )
 
     def scaled(self, factors: FloatArray) -> "Quadratic":
-        """Return the same for prior standard deviations that are larger by factors, (p,)."""
+        """Return the misfit for prior standard deviations scaled by factors, (p,)."""
         return self._replace(
             gradient=self.gradient * factors,
             curvature=self.curvature * np.outer(factors, factors),
@@ -69,26 +68,26 @@ class Quadratic(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """Of the parameters, in prior standard deviations: mean (..., p), covariance (..., p, p)."""
+    """Posterior mean (..., p) and covariance (..., p, p), in prior standard deviations."""
 
     mean: FloatArray
     covariance: FloatArray
 
 
 def quadratic(at: Linearised) -> Quadratic:
-    """Return the misfit of one fit with the noise as it is."""
+    """Return the misfit of one fit under its own noise."""
     A, rho = at.scaled_nominal, at.whitened_residual
     return Quadratic(np.array(rho @ rho), A.T @ rho, A.T @ A, np.zeros(()))
 
 
 def posterior(q: Quadratic, offset: FloatArray) -> Posterior:
-    """Return where the parameters lie from their prior means.
+    """Return the posterior of the parameters relative to their prior means.
 
     Parameters
     ----------
     q : Quadratic
     offset : ndarray, shape (p,)
-        Where the fit lies from there.
+        Fit minus prior mean, in prior standard deviations.
     """
     covariance = np.asarray(np.linalg.inv(np.eye(len(offset)) + q.curvature), dtype=np.float64)
     step = (covariance @ (q.gradient + offset)[..., None])[..., 0]
@@ -96,7 +95,7 @@ def posterior(q: Quadratic, offset: FloatArray) -> Posterior:
 
 
 class Sides(NamedTuple):
-    """On which side of an edge each parameter must lie, shape (p,) each.
+    """Side of an edge to which each parameter is restricted, shape (p,) each.
 
     Parameters
     ----------
@@ -111,7 +110,7 @@ class Sides(NamedTuple):
 
 
 def sides(offset: FloatArray, one_sided: BoolArray, at_bound: IntArray | None = None) -> Sides:
-    """Return where the parameters of a fit must lie; see `log_marginal`."""
+    """Return the restrictions on the parameters of a fit; see `log_marginal`."""
     bound = np.zeros(len(offset), np.int32) if at_bound is None else at_bound
     stopped = bound != 0
     side = np.where(stopped, bound, one_sided).astype(np.int32)
@@ -134,12 +133,12 @@ def log_marginal(
     one_sided : ndarray of bool, shape (p,)
         Parameters with a half-normal prior, from their prior mean upwards.
     at_bound : ndarray of int, shape (p,), optional
-        Parameters that the fit was stopped at a bound of: 1 at a lower, -1 at an upper one, 0 for
-        all others. They may only lie inside.
+        Parameters stopped at a bound by the fit, which are restricted to its inside: 1 at a lower
+        bound, -1 at an upper bound, 0 for all others.
     """
     side, edge = sides(offset, one_sided, at_bound)
     held = side != 0
-    # Parameters that are held come last: the last corner of the factor has their covariance.
+    # Restricted parameters come last: the last corner of the factor has their covariance.
     order = np.argsort(held, kind="stable")
     curvature = q.curvature[..., order[:, None], order]
     L, y = _factored(curvature, (q.gradient + offset)[..., order])
@@ -157,11 +156,11 @@ def log_marginal(
 
 
 def _factored(curvature: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the Cholesky factor L of H, and ``L^-1 g``: the last row where g borders H."""
+    """Return the Cholesky factor L of H and ``L^-1 g``, the last row with H bordered by g."""
     p = gradient.shape[-1]
     bordered = np.empty((*gradient.shape[:-1], p + 1, p + 1))
     bordered[..., :p, :p], bordered[..., p, :p] = curvature, gradient
-    # H is no smaller than the identity, so that this corner keeps the whole positive definite.
+    # H is no smaller than the identity, so this corner keeps the matrix positive definite.
     bordered[..., p, p] = (gradient**2).sum(axis=-1)
     every = np.arange(p + 1)
     bordered[..., every, every] += 1.0
@@ -177,9 +176,9 @@ def log_evidence(
     Parameters
     ----------
     at : Linearised
-        With all parameters of the hypothesis, those of its effects too, as nominal ones.
+        With all parameters of the hypothesis, including its effects, as nominal ones.
     one_sided : ndarray of bool, shape (p,), optional
-        Parameters that may only lie above their prior mean; none.
+        Parameters restricted to values above their prior mean; by default none.
     at_bound : ndarray of int, shape (p,), optional
         See `log_marginal`.
     """

@@ -1,8 +1,8 @@
-"""How much of a normal distribution is positive.
+"""Orthant probabilities of normal distributions.
 
-Separation of variables after A. Genz, J. Comput. Graph. Stat. 1 (1992) 141, in
-logarithms, so that far tails keep their digits. One variable is exact; more are averaged
-over a fixed lattice of points, so the same input gives the same number.
+Separation of variables after A. Genz, J. Comput. Graph. Stat. 1 (1992) 141, in logarithms, so far
+tails keep their precision. One variable is exact; more are averaged over a fixed lattice of points,
+so results are reproducible.
 """
 
 import numpy as np
@@ -11,8 +11,8 @@ from scipy.special import log_ndtr, ndtri_exp
 from palpate.storage.values import FloatArray
 
 POINTS = 1021
-# Generators of Richtmyer's lattice: a motion of the base and a turn of the frame have nine
-# parameters, two more effects a few.
+# Generators of Richtmyer's lattice: a motion of the base and a rotation of the frame have nine
+# parameters, and two more effects have a few.
 ROOTS = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0, 31.0, 37.0, 41.0, 43.0])
 
 
@@ -22,18 +22,18 @@ def _log_uniform() -> FloatArray:
     return np.asarray(np.log(np.maximum(uniform, np.finfo(float).tiny)))
 
 
-LOG_UNIFORM = _log_uniform()  # of each root's points
+LOG_UNIFORM = _log_uniform()  # one row for each root
 
 
 def log_orthant(mean: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return log probability that all variables are positive.
+    """Return the log probability that all variables are positive.
 
     Parameters
     ----------
     mean : ndarray, shape (..., d)
-        Of each of a stack of distributions, d <= 15.
+        Means of a stack of distributions, d <= 15.
     covariance : ndarray, shape (..., d, d)
-        Positive definite; of each of them, or common to all.
+        Positive definite; one for each distribution, or common to all.
 
     Returns
     -------

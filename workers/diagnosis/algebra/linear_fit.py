@@ -1,18 +1,18 @@
-r"""One linear step of a fit, and what it makes of the noise in the residuals.
+r"""One linear step of a fit, and its influence on the noise in the residuals.
 
-With a residual r, noise of covariance C and a fit that moves residuals by ``r -> r + F r``, noise
-is ``(I + F) C (I + F)'`` after the fit, and the mean square of what the fitted model misses of a
-noise-free image is smaller than that of the residual by
+With a residual r, noise of covariance C and a fit that changes residuals by ``r -> r + F r``, the
+noise covariance after the fit is ``(I + F) C (I + F)'``. The mean square error of the fitted model
+on a noise-free image is smaller than the mean square residual by
 
 .. math:: \overline{\mathrm{diag}\,C} + 2\,\overline{\mathrm{diag}\,FC}:
 
-the noise, and what the fit took of it and now hides (the covariance penalty of C. L. Mallows,
+the noise, and the part of it that the fit absorbed (the covariance penalty of C. L. Mallows,
 Technometrics 15 (1973) 661, and B. Efron, J. Am. Stat. Assoc. 99 (2004) 619). Without a fit F is
 zero.
 
-Where a scan lies is no fault of the model. Where scans are registered by another fit, by
-``r -> r + R r``, C is that of scans that may lie anywhere, and what is left of it the noise:
-``(I + R) C (I + R)'`` takes the place of C in the first term, ``F C (I + R)'`` that of FC.
+The pose of a scan is no error of the model. If scans are registered by another fit, by
+``r -> r + R r``, C includes the uncertainty of the poses, and only the remainder counts as noise:
+``(I + R) C (I + R)'`` replaces C in the first term, ``F C (I + R)'`` replaces FC.
 """
 
 from dataclasses import dataclass
@@ -28,12 +28,12 @@ from palpate.workers.diagnosis.algebra.linearisation import Linearised, factored
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """Where the scans lie, as one fit has it; a step of ``-(gain r + shift)`` in prior sd.
+    """Poses of the scans from one fit, as a step of ``-(gain r + shift)`` in prior sd.
 
     Parameters
     ----------
     gain : ndarray, shape (q, m)
-        On the residuals of the model that is registered.
+        Applied to the residuals of the registered model.
     shift : ndarray, shape (q,)
     """
 
@@ -42,18 +42,18 @@ class Registration:
 
     @classmethod
     def by(cls, best: "LinearFit", count: int, residual: FloatArray) -> "Registration":
-        """Return that of the best model there is, for another model of the same scans.
+        """Return the registration by the best model, for another model of the same scans.
 
-        A model that lacks something moves the scans to make up for it, so it must not register
-        them itself.
+        An incomplete model would move the scans to compensate, so it must not register them
+        itself.
 
         Parameters
         ----------
         best : LinearFit
-            To all residuals. Its last `count` parameters say where the scans lie.
+            Fit to all residuals. Its last `count` parameters are the poses of the scans.
         count : int
         residual : ndarray, shape (m,)
-            Of the other model.
+            Residuals of the other model.
         """
         which = slice(len(best.bias) - count, None)
         gain = best.gain[which]
@@ -67,18 +67,18 @@ class LinearFit:
     ----------
     problem : Linearised
     train : ndarray of bool, shape (m,), optional
-        Residuals that the parameters are fitted to; all.
+        Residuals used in the fit; by default all.
     judge : ndarray of bool, shape (m,), optional
-        Residuals that the fit is judged by; all.
+        Residuals used to assess the fit; by default all.
     fitted : bool
-        False leaves the parameters where they are and takes the residual as not fitted.
+        If False, the parameters stay unchanged and the residual counts as not fitted.
     registration : Registration, optional
-        Takes the place of the last parameters, which say where the scans lie.
+        Replaces the last parameters, the poses of the scans.
 
     Raises
     ------
     InputError
-        If no residual is left to fit or to judge.
+        If no residual is left for the fit or its assessment.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class LinearFit:
             self.bias[p - self._registered :] = registration.shift
 
     def _fit_to(self, train: BoolArray) -> None:
-        """Fit to some residuals; the step is ``-(gain r + bias)``, in prior standard deviations."""
+        """Fit a subset of residuals; the step is ``-(gain r + bias)``, in prior sd."""
         problem = self.problem
         L = problem.covariance_factor
         if not train.all():
@@ -137,17 +137,17 @@ class LinearFit:
 
     @cached_property
     def residual(self) -> FloatArray:
-        """After the step, of the residuals that are judged, in mm."""
+        """Judged residuals after the step, in mm."""
         return self.after(self.problem.residual[:, None])[:, 0]
 
     def after(self, residuals: FloatArray) -> FloatArray:
-        """Return what the fit makes of other residuals: (m, n) in, (judged, n) out."""
+        """Apply the fit to other residuals, shape (m, n); return shape (judged, n)."""
         steps = self.gain @ residuals + self.bias[:, None]
         return np.asarray(residuals[self.judge] - self._columns[self.judge] @ steps)
 
     @cached_property
     def observation_mm2(self) -> FloatArray:
-        """Variance of the observation of each judged residual, registered if it was."""
+        """Observation variance of each judged residual, after any registration."""
         N = self.poses[self.judge]
         own = (self.problem.covariance_factor**2).sum(axis=1)[self.judge] + (N**2).sum(axis=1)
         taken = 2.0 * self._shared_poses[self.judge] - N @ (self._pose_gain @ self._shared_poses)
@@ -155,7 +155,7 @@ class LinearFit:
 
     @cached_property
     def noise_mm2(self) -> FloatArray:
-        """By how much the mean square of each residual exceeds that of the gap."""
+        """Difference in expected mean square between each residual and the gap."""
         fitted = slice(self._columns.shape[1] - self._registered)
         J, N = self._columns[self.judge, fitted], self.poses[self.judge]
         shared = self._shared[self.judge, fitted] - N @ (self.gain[fitted] @ self._shared_poses).T
@@ -163,7 +163,7 @@ class LinearFit:
 
     @property
     def excess_mm2(self) -> float:
-        """G^2 over all judged residuals, before it is cut at zero."""
+        """G^2 over all judged residuals, before clipping at zero."""
         return float((self.residual**2).mean() - self.noise_mm2.mean())
 
     @cached_property
@@ -172,7 +172,7 @@ class LinearFit:
         return self.covariance_of(self.judge)
 
     def covariance_of(self, rows: BoolArray) -> FloatArray:
-        """Return D of some residuals, whether they are judged or not: rows of shape (m,)."""
+        """Return D of the chosen residuals, judged or not; rows of shape (m,)."""
         X = self._columns[rows]
         # C - X S' - S X' + X T X' with a symmetric T: both halves at once.
         half = self._shared[rows] - 0.5 * X @ (self.gain @ self._shared)
@@ -185,7 +185,7 @@ class LinearFit:
 
     @cached_property
     def floor_mm(self) -> float:
-        """Gap that fitting noise opens, even if the model is right: ``tr(F C F')``."""
+        """Gap due to fitted noise, present even if the model is true: ``tr(F C F')``."""
         X = self._columns[self.judge]
         return float(np.sqrt(((X @ (self.gain @ self._shared)) * X).sum(axis=1).mean()))
 
@@ -197,7 +197,7 @@ class LinearFit:
 
     @property
     def poses(self) -> FloatArray:
-        """Columns of what was registered apart, shape (m, q); its C lets scans lie anywhere."""
+        """Columns of the registered poses, shape (m, q), which also contribute to C."""
         return self._columns[:, self._columns.shape[1] - self._registered :]
 
     @property

@@ -1,4 +1,4 @@
-r"""The model around one fit: residuals that are linear in the parameters, and their noise.
+r"""Linearisation of the model around one fit, with its noise.
 
 Near the fit, the signed distances r between model and image obey
 
@@ -11,7 +11,7 @@ Integrating z out leaves the precision
 .. math:: P = (I + A S A')^{-1} = I - A (A'A + \Lambda)^{-1} A',
           \qquad S = \Lambda^{-1} = \mathrm{diag}(sd^2),
 
-which all but removes what the parameters can absorb. With flat priors P is the
+which almost removes the part that the parameters can absorb. With flat priors P is the
 projection of the efficient score (C. R. Rao, Proc. Camb. Phil. Soc. 44 (1948) 50;
 J. Neyman's C(alpha), 1959).
 """
@@ -36,9 +36,9 @@ class Linearised:
         Signed distances of the model from the observed interfaces at the fit, in mm;
         all states one after another.
     nominal : ndarray, shape (m, p)
-        Derivatives of the residual by the parameters that are free, in mm per unit.
+        Derivatives of the residual by the free parameters, in mm per unit.
     nominal_sd : ndarray, shape (p,)
-        Standard deviations of the parameters before data, > 0.
+        Prior standard deviations of the parameters, > 0.
     nominal_offset : ndarray, shape (p,)
         Fitted value minus prior mean of each parameter.
     covariance_factor : ndarray, shape (m, m)
@@ -71,7 +71,7 @@ class Linearised:
             if found.shape != shape or not np.isfinite(found).all():
                 raise InputError(
                     f"{name} must be finite numbers of shape {shape}, found shape {found.shape}"
-                    f" with {int((~np.isfinite(found)).sum())} numbers that are not finite."
+                    f" with {int((~np.isfinite(found)).sum())} non-finite numbers."
                 )
         if not (self.nominal_sd > 0).all():
             raise InputError(f"nominal_sd must be > 0, found {self.nominal_sd.tolist()}.")
@@ -88,7 +88,7 @@ class Linearised:
 
     @cached_property
     def whitened_residual(self) -> FloatArray:
-        """Rho, shape (m,)."""
+        """Whitened residual rho, shape (m,)."""
         return self.whiten(self.residual)
 
     @cached_property
@@ -103,15 +103,15 @@ class Linearised:
 
     @cached_property
     def efficient_residual(self) -> FloatArray:
-        """What the parameters leave of the whitened residual, shape (m,).
+        """Part of the whitened residual that the parameters cannot absorb, shape (m,).
 
-        It is ``P (rho - A offset)``, and rho itself where the fit has converged.
+        It is ``P (rho - A offset)``, and rho itself if the fit has converged.
         """
         return self.project(self.whitened_residual - self.scaled_nominal @ self.scaled_offset)
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Of the noise, shape (m, m), in mm^2."""
+        """Covariance of the noise, shape (m, m), in mm^2."""
         return self.covariance_factor @ self.covariance_factor.T
 
     def whiten(self, values: FloatArray) -> FloatArray:
@@ -126,12 +126,12 @@ class Linearised:
         return whitened - A @ cho_solve(self._curvature, A.T @ whitened)
 
     def freed(self, columns: FloatArray, sd: FloatArray) -> "Linearised":
-        """Return the same fit with more parameters free, each at its prior mean.
+        """Return the fit with additional free parameters, each at its prior mean.
 
         Parameters
         ----------
         columns : ndarray, shape (m, q)
-            Derivatives of the residual by them.
+            Derivatives of the residual by the new parameters.
         sd : ndarray, shape (q,)
         """
         return Linearised(
@@ -143,7 +143,7 @@ class Linearised:
         )
 
     def holding(self, which: BoolArray) -> "Linearised":
-        """Return the same fit with some parameters, ``which`` of (p,), held where they are."""
+        """Return the fit with some parameters, ``which`` of (p,), held at their values."""
         free = ~which
         return Linearised(
             self.residual,
@@ -172,5 +172,5 @@ def factored(covariance: FloatArray) -> FloatArray:
     except np.linalg.LinAlgError as error:
         raise InputError(
             f"The covariance of the noise, shape {covariance.shape}, is not positive definite. "
-            "Add noise that is independent from point to point (a nugget)."
+            "Add noise that is independent between points (a nugget)."
         ) from error

@@ -7,9 +7,9 @@ from palpate.storage.values import FloatArray
 
 
 def pivoted(covariance: FloatArray, tolerance: float) -> FloatArray:
-    """Return U, shape (m, rank), with ``U U'`` equal to a covariance but for a small diagonal.
+    """Return U, shape (m, rank), with ``U U'`` equal to a covariance up to a small diagonal.
 
-    Cholesky with pivoting, stopped where the variance that is left falls below the tolerance
+    Pivoted Cholesky factorisation, stopped when the remaining variance falls below the tolerance
     (H. Harbrecht, M. Peters and R. Schneider, Appl. Numer. Math. 62 (2012) 428).
     """
     factor, pivots, rank, _ = dpstrf(covariance, tol=tolerance, lower=1)

@@ -1,1 +1,1 @@
-"""What scans can tell before they are made."""
+"""Planning of scans: their expected information."""

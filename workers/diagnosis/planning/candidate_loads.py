@@ -1,10 +1,10 @@
-"""Loads that are planned, and others that could be scanned as well.
+"""Planned loads and possible further ones.
 
-A further load of the same plates is lighter than the lightest or heavier than the heaviest
-that is planned; a further view turns the plates about z. Under a turned force the plates
-start at the ends of the body; at a distance they close by the same share of it. The chest
-wall then holds the body along x and along y alike, as firmly as it does along one of
-them: plates do not hold it where they slide.
+A further load by the same plates is lighter than the lightest or heavier than the heaviest planned
+one; a further view rotates the plates about z. A rotated force starts with the plates at the ends
+of the body; at a given distance, the plates close by the same share of the body. The chest wall is
+then held along x and y with the firmer of the two stiffnesses, since plates do not hold the body
+where they slide.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,14 +33,14 @@ VIEWS: tuple[tuple[str, Triple], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class CandidateLoad:
-    """One loaded scan, planned or possible.
+    """A planned or possible loaded scan.
 
     Parameters
     ----------
     name : str
-        In the words of a report.
+        As shown in a report.
     kind : {"planned", "load", "view"}
-        Of the case itself, a further load, or a further direction of the plates.
+        A load of the case itself, a further load, or a further direction of the plates.
     problem : callable
     """
 
@@ -52,15 +52,15 @@ class CandidateLoad:
 def candidate_loads(
     acquisition: Acquisition, frame: Frame, nodes_mm: FloatArray
 ) -> list[CandidateLoad]:
-    """Return the loads of an acquisition, in order, then those that could be added.
+    """Return the loads of an acquisition, in order, followed by possible further ones.
 
     Parameters
     ----------
     acquisition : Acquisition
     frame : Frame
-        Of the body.
+        Frame of the body.
     nodes_mm : ndarray, shape (n, 3)
-        Of the mesh at rest: how far the body reaches along the plates' direction.
+        Nodes at rest, which give the extent of the body in the direction of the plates.
     """
     builders = [acquisition.problem(number, frame) for number in range(len(acquisition.loads))]
     planned = [
@@ -88,7 +88,7 @@ def candidate_loads(
 
 
 def pressed_by(load: Load, factor: float, nodes_mm: FloatArray) -> Load:
-    """Return the same plates with `factor` times the force; at a distance, of the closing."""
+    """Return the load with its force, or the closing of its plates, scaled by `factor`."""
     if isinstance(load, ForceControl):
         return replace(load, force_n=factor * load.force_n)
     if isinstance(load, DistanceControl):
@@ -103,7 +103,7 @@ def pressed_by(load: Load, factor: float, nodes_mm: FloatArray) -> Load:
 
 
 def turned_to(load: Load, axis: Triple, nodes_mm: FloatArray) -> Load:
-    """Return the same pressing along another axis."""
+    """Return the load applied along another axis."""
     turned = replace(load, device=replace(load.device, axis=axis))
     if isinstance(turned, ForceControl):
         low, high = _reach(turned, nodes_mm)
@@ -166,7 +166,7 @@ def _named(load: Load) -> str:
 
 
 def _strength(load: Load, nodes_mm: FloatArray) -> float:
-    """Return what orders loads of one kind: the force, or the share that plates close by."""
+    """Return the strength of a load: its force, or the share by which the plates close."""
     if isinstance(load, ForceControl):
         return load.force_n
     if isinstance(load, DistanceControl):
@@ -176,7 +176,7 @@ def _strength(load: Load, nodes_mm: FloatArray) -> float:
 
 
 def _reach(load: Load, nodes_mm: FloatArray) -> tuple[float, float]:
-    """Return from where to where the body at rest reaches along the axis."""
+    """Return the extent of the body at rest along the axis."""
     heights = nodes_mm @ (np.asarray(_axis(load)) / np.linalg.norm(_axis(load)))
     return float(heights.min()), float(heights.max())
 

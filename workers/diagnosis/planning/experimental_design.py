@@ -1,11 +1,10 @@
-"""What an acquisition can tell before it is made, and what one more measurement would add.
+"""Expected information of a planned acquisition, and the benefit of further measurements.
 
-Nothing here looks at a residual. An effect is *seen* if it, acting at its plausible size,
-is expected to raise the log evidence by `clear` of the plan's settings over
-no gap, and if the constants do not hide it. Two effects are *told apart* if both are seen and
-each, when it acts, is expected to beat the other by as much. More rows never lower an expected
-log evidence, for it is a Kullback-Leibler divergence; see
-`workers.diagnosis.planning.state_information`.
+No residuals are used. An effect is *seen* if, at its plausible size, it is expected to raise the
+log evidence over no gap by `clear` of the plan's settings, and if the constants do not hide it. Two
+effects are *told apart* if both are seen and each, when it acts, is expected to beat the other by
+the same margin. More rows never lower an expected log evidence, as it is a Kullback-Leibler
+divergence; see `workers.diagnosis.planning.state_information`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -35,18 +34,18 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What is scanned and measured.
+    """A set of scans and measurements.
 
     Parameters
     ----------
     states : tuple of int
-        Numbers of the loads.
+        Indices of the loads.
     drawings : int
-        How often each scan is segmented, on its own each time.
+        Number of independent segmentations of each scan.
     plates : bool
-        Whether the distance of the plates is measured in each load.
+        Whether the distance of the plates is measured under each load.
     known : int or None
-        Number of a constant that is measured apart.
+        Index of a constant that is measured separately.
     """
 
     states: tuple[int, ...]
@@ -57,21 +56,21 @@ class Design:
 
 @dataclass(frozen=True, eq=False)
 class DesignEvaluation:
-    """What a design could tell.
+    """Expected information of a design.
 
     Parameters
     ----------
     rows : tuple of Detectability
         One for each effect.
     evidence : ndarray, shape (effects,)
-        Expected log evidence over no gap of an effect that acts at its plausible size.
+        Expected log Bayes factor against no gap of each effect at its plausible size.
     cosines : ndarray, shape (effects, effects)
-        How alike the visible parts of two effects look.
+        Similarity of the visible parts of two effects.
     separation : ndarray, shape (effects, effects)
-        Expected log evidence of the effect of the row, acting, over that of the column.
+        Expected log Bayes factor of the row's effect, acting, against the column's effect.
     shown : frozenset of str
-        Effects that a part of the design shows already: what more is measured does not hide
-        them, though it may lift the share of them that the constants absorb.
+        Effects already visible in a part of the design: further measurements do not hide them,
+        although they may raise the share that the constants absorb.
     """
 
     rows: tuple[Detectability, ...]
@@ -82,17 +81,17 @@ class DesignEvaluation:
 
     @property
     def names(self) -> list[str]:
-        """Of the effects, in order."""
+        """Names of the effects, in order."""
         return [row.name for row in self.rows]
 
     @property
     def seen(self) -> BoolArray:
-        """Which effects can be accused or acquitted, shape (effects,)."""
+        """Mask of the effects that can be accused or acquitted, shape (effects,)."""
         return (self.evidence >= SETTINGS.plan.clear) & ~self.hidden
 
     @property
     def hidden(self) -> BoolArray:
-        """Which effects the constants absorb, shape (effects,)."""
+        """Mask of the effects that the constants absorb, shape (effects,)."""
         sunk = [
             row.absorbed > SETTINGS.detectability.sunk_share and row.name not in self.shown
             for row in self.rows
@@ -103,11 +102,11 @@ class DesignEvaluation:
         return np.array(sunk, np.bool_) | (mostly & (self.evidence < SETTINGS.plan.clear))
 
     def apart(self) -> set[frozenset[str]]:
-        """Return pairs of effects that are told apart."""
+        """Return the pairs of effects that can be told apart."""
         return {pair for pair, worst in self.pairs().items() if worst >= SETTINGS.plan.clear}
 
     def pairs(self) -> dict[frozenset[str], float]:
-        """Return expected log evidence between two effects that are seen, whichever acts."""
+        """Return the smaller expected log Bayes factor of each pair of seen effects."""
         index = np.flatnonzero(self.seen)
         return {
             frozenset((self.names[i], self.names[j])): float(
@@ -123,7 +122,7 @@ def evaluate_design(
     load_sensitivities: Mapping[int, LoadSensitivity],
     effects: Sequence[Effect],
 ) -> DesignEvaluation:
-    """Return what a design could tell of `effects`.
+    """Return the expected information of a design about `effects`.
 
     Parameters
     ----------
@@ -131,9 +130,9 @@ def evaluate_design(
         See `workers.diagnosis.problem.acquisition.inverse_problem_of`.
     design : Design
     load_sensitivities : mapping of int to LoadSensitivity
-        Of every state of the design at least.
+        For at least every state of the design.
     effects : sequence of Effect
-        Those that have columns in every state.
+        Effects with columns in every state.
 
     Raises
     ------
@@ -159,13 +158,13 @@ def assembled(
     load_sensitivities: Mapping[int, LoadSensitivity],
     effects: Sequence[Effect],
 ) -> tuple[Linearised, list[EffectSensitivity]]:
-    """Return the linear problem of a design at the prior middle, and what effects add to it."""
+    """Return the linear problem of a design at the prior mean, and its sensitivities."""
     parts = [load_sensitivities[s] for s in design.states]
     k = len(unloaded.points)
     plates = range(len(parts)) if design.plates else range(0)
 
     def rows(of: Sequence[FloatArray]) -> FloatArray:
-        """Return all points of all states, then the distances of the plates."""
+        """Return the rows of all points of all states, then the distances of the plates."""
         last = [of[s][..., k:, :] for s in plates]
         return np.concatenate([*(c[..., :k, :] for c in of), *last], axis=-2)
 
@@ -174,7 +173,7 @@ def assembled(
     sensitivities = [_print(e, rows([part.columns[e.name] for part in parts])) for e in effects]
     p = nominal.shape[1]
     if design.known is not None:
-        # A constant that is measured apart: a row of its own that no effect moves.
+        # A constant that is measured separately: a row of its own, unaffected by effects.
         nominal = np.vstack([nominal, np.eye(p)[design.known]])
         blocks.append(np.array([[SETTINGS.plan.stiffness_sd**2]]))
         sensitivities = [replace(f, columns=_with_zeros(f.columns)) for f in sensitivities]
@@ -191,7 +190,7 @@ def assembled(
 def simulated(
     load_sensitivities: Iterable[LoadSensitivity], effects: Sequence[Effect]
 ) -> list[Effect]:
-    """Return effects that could be simulated in every state, and act on one of them at least."""
+    """Return the effects that could be simulated in every state and act on at least one."""
     states = list(load_sensitivities)
     return [
         e
@@ -201,7 +200,7 @@ def simulated(
 
 
 def loose(load_sensitivities: Iterable[LoadSensitivity], effects: Sequence[Effect]) -> list[Effect]:
-    """Return effects that would push the body away, for nothing holds it there.
+    """Return the effects that would push the body away from its supports.
 
     At their plausible size a point would move by more than `drift_mm` of the settings.
     """
@@ -217,14 +216,14 @@ def loose(load_sensitivities: Iterable[LoadSensitivity], effects: Sequence[Effec
 
 
 def plausible(effect: Effect) -> tuple[float, ...]:
-    """Return prior standard deviations of the parameters that a sensitivity has."""
+    """Return the prior standard deviations of the parameters in a sensitivity."""
     return effect.prior_sd[: effect.size_count]
 
 
 def _scanned(unloaded: InverseProblem, design: Design) -> FloatArray:
-    """Return noise of the points of all states, as a diagnosis takes it, in mm^2.
+    """Return the noise covariance of all states, as used in a diagnosis, in mm^2.
 
-    Independent drawings of one image average out; what voxels leave stays.
+    Errors of independent segmentations average out; the voxel error remains.
     """
     calmer = 1 / np.sqrt(design.drawings)
     noise = replace(
@@ -249,16 +248,16 @@ def _print(effect: Effect, columns: FloatArray) -> EffectSensitivity:
 
 
 def _with_zeros(columns: FloatArray) -> FloatArray:
-    """Return one more row, in which nothing happens."""
+    """Append a row of zeros."""
     return np.concatenate([columns, np.zeros_like(columns[..., :1, :])], axis=-2)
 
 
 def _no_problem(values: Values) -> Problem:
-    raise AssertionError("a scan that stands for its noise has no problem")
+    raise AssertionError("a scan used only for its noise has no problem")
 
 
 def _no_look(points: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
-    raise AssertionError("a scan that stands for its noise shows nothing")
+    raise AssertionError("a scan used only for its noise cannot be compared")
 
 
 _NOISE_ONLY = Scan("", _no_problem, _no_look)

@@ -1,14 +1,14 @@
-r"""What one loaded scan will show of constants and effects, from the model alone.
+r"""Sensitivity of a planned scan to constants and effects, from the model alone.
 
-The normals of the loaded interfaces are those of the model's own: with the deformation
-gradient F a normal n of the body at rest becomes
+The normals of the loaded interfaces come from the model: with the deformation gradient F, a normal
+n of the body at rest becomes
 
 .. math:: n' = F^{-T} n / |F^{-T} n|
 
-(E. J. Nanson, Messenger of Math. 7 (1878) 182). One more row stands for the distance
-between the plates: how the contact areas move apart when something changes, each node
-weighted by its contact stiffness. Under a given force of flat plates that is by how much
-less the plates travel, up to what they press into the penalty.
+(E. J. Nanson, Messenger of Math. 7 (1878) 182). An additional row is the distance between the
+plates: the relative motion of the contact areas, with each node weighted by its contact stiffness.
+For flat plates under a given force this is the reduction in plate travel, apart from penetration
+due to the penalty.
 """
 
 from collections.abc import Sequence
@@ -37,16 +37,16 @@ from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilib
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change
 from palpate.workers.mechanics.fem.problem.loads import NoPlates
 
-# The number of the row that is the plates' distance, among interfaces.
+# Interface number of the row with the distance of the plates.
 PLATES = len(INTERFACES)
 
 
 @dataclass(frozen=True, eq=False)
 class LoadSensitivity:
-    """Derivatives of what a scan shows, at the prior middle of the constants.
+    """Derivatives of the data of a scan, at the prior mean of the constants.
 
-    Rows are the k points of the interfaces, in mm along their normals, and a last one for
-    the distance between the plates in mm.
+    Rows are the k points of the interfaces, in mm along their normals, and a last one for the
+    distance between the plates in mm.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class LoadSensitivity:
     columns : dict of str to ndarray, shape (k + 1, q) or (g, k + 1, q)
         By the parameters of each effect; zero for one that does not act on this load.
     travel_mm : float
-        By how much the plates have come closer; 0 for plates that are put at a distance.
+        Travel of the plates towards each other; 0 for plates at a given distance.
     """
 
     nominal: FloatArray
@@ -66,22 +66,22 @@ class LoadSensitivity:
 def load_sensitivity(
     unloaded: InverseProblem, name: str, problem: ProblemBuilder, effects: Sequence[Effect]
 ) -> LoadSensitivity | None:
-    """Simulate one load and differentiate what its scan will show.
+    """Simulate one load and differentiate the predicted data of its scan.
 
     Parameters
     ----------
     unloaded : InverseProblem
         The body at rest; see `workers.diagnosis.problem.acquisition.inverse_problem_of`.
     name : str
-        Of the load.
+        Name of the load.
     problem : callable
     effects : sequence of Effect
 
     Returns
     -------
     LoadSensitivity or None
-        None if the nominal model does not converge under this load. An effect that cannot
-        be simulated has no columns.
+        None if the nominal model does not converge under this load. Effects that cannot be
+        simulated have no columns.
     """
     free = unknowns(unloaded.free, [])
     nominal = problem(free.constants(free.mean))
@@ -101,7 +101,7 @@ def load_sensitivity(
 
 
 def deformed_normals(unloaded: InverseProblem, displacement_mm: FloatArray) -> FloatArray:
-    """Return normals of the interfaces after a displacement of the nodes, shape (k, 3)."""
+    """Return the normals of the interfaces after a displacement of the nodes, shape (k, 3)."""
     gradients = nodal_gradients(unloaded.model.finest, displacement_mm)
     at_points = unloaded.at_points @ gradients.reshape(len(gradients), 9)
     F = at_points.reshape(-1, 3, 3)
@@ -110,7 +110,7 @@ def deformed_normals(unloaded: InverseProblem, displacement_mm: FloatArray) -> F
 
 
 def nodal_gradients(level: LevelModel, displacement_mm: FloatArray) -> FloatArray:
-    """Return deformation gradients, means over the elements around a node, shape (n, 3, 3)."""
+    """Return nodal means of the deformation gradients of elements, shape (n, 3, 3)."""
     tets, gradients, volumes = level.elements
     u = displacement_mm[tets]
     F = np.eye(3) + np.einsum("mai,maj->mij", u[:, 1:] - u[:, :1], gradients)
@@ -123,13 +123,13 @@ def nodal_gradients(level: LevelModel, displacement_mm: FloatArray) -> FloatArra
 
 
 def plate_row(at: Equilibrium) -> tuple[csr_matrix, FloatArray]:
-    """Return how the contact areas of both plates move apart, as a row for the nodes.
+    """Return the relative motion of both plates' contact areas, as a row for the nodes.
 
     Returns
     -------
     csr_matrix, shape (1, n)
-        Weights of the nodes: those of the upper plate sum to 1, those of the lower to -1;
-        all zero without plates.
+        Weights of the nodes, with a sum of 1 for the upper plate and -1 for the lower; all zero
+        without plates.
     ndarray, shape (3,)
         The axis from the lower to the upper plate.
     """
@@ -158,7 +158,7 @@ def _changes(problem: ProblemBuilder, free: Unknowns) -> list[Change]:
 def _with_plates(
     unloaded: InverseProblem, scan: Scan, at: Equilibrium
 ) -> tuple[InverseProblem, PredictedScan]:
-    """Return the points and the distance of the plates as one list, and where they have gone."""
+    """Return the problem with the distance of the plates as a further point, and its prediction."""
     row, axis = plate_row(at)
     u, p = at.solution.displacement_mm, unloaded.points
     points = InterfacePoints(
@@ -176,16 +176,16 @@ def _with_plates(
 
 
 def _columns(inverse: InverseProblem, fit: SolvedFit, effect: Effect) -> FloatArray | None:
-    """Return those of one effect, zero where it does not act; None if not simulated."""
+    """Return the columns of one effect, zero if it does not act; None if not simulated."""
     found = scan_sensitivity(inverse, fit, 0, effect)
     if found.idle:
         return np.zeros((len(inverse.points), len(effect.names)))
     columns = found.columns
     if columns is not None and not effect.acts_on_body:
         columns = columns.copy()
-        columns[..., -1, :] = 0.0  # the plates' distance is not read off the images
+        columns[..., -1, :] = 0.0  # the distance of the plates is not measured in the images
     return columns
 
 
 def _not_scanned(points: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
-    raise InputError("This scan is not made yet: nothing can be compared with it.")
+    raise InputError("This scan is only planned: it cannot be compared with a model.")

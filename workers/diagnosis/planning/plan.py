@@ -1,4 +1,4 @@
-"""What planned loads can tell, and what else would tell more, in plain numbers."""
+"""Plan of an acquisition in plain numbers, with ranked further measurements."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -38,18 +38,18 @@ def make_plan(
     sensitivities: Mapping[int, LoadSensitivity],
     effects: Sequence[Effect],
 ) -> PlanSummary:
-    """Find what the planned loads can tell, and what else would tell more, the best first.
+    """Evaluate the planned loads, and rank further measurements by their benefit.
 
     Parameters
     ----------
     name : str
-        Of the case.
+        Name of the case.
     unloaded : InverseProblem
         The body at rest; see `workers.diagnosis.problem.acquisition.inverse_problem_of`.
     loads : sequence of CandidateLoad
         See `workers.diagnosis.planning.candidate_loads`.
     sensitivities : mapping of int to LoadSensitivity
-        By the number of the load; loads that cannot be simulated are missing.
+        By the index of the load; loads that cannot be simulated are missing.
     effects : sequence of Effect
         The catalogue.
     """
@@ -96,7 +96,7 @@ def designs(
     loads: Sequence[CandidateLoad],
     sensitivities: Mapping[int, LoadSensitivity],
 ) -> dict[str, Design]:
-    """Return what could be scanned or measured besides the planned loads, by its words."""
+    """Return the possible further scans and measurements, by their descriptions."""
     present = _planned(loads, sensitivities)
     found = {
         ("a scan at " if loads[n].kind == "load" else "a view, ") + loads[n].name: Design(
@@ -120,7 +120,7 @@ def designs(
 
 
 def _parameter(p: Parameter, least: float, sd: float) -> ParameterPlan:
-    """Return the least magnitude that is found, and a plausible one."""
+    """Return the minimum detectable and a plausible magnitude."""
     minimum = p.unit.to_door(least) if np.isfinite(least) else None
     plausible_size = p.unit.to_door(sd)
     shown, unit = shown_change(p.reading, plausible_size, p.unit.symbol)
@@ -149,7 +149,7 @@ def _effect(effect: Effect, now: DesignEvaluation, i: int) -> PlannedEffect:
 
 
 def _confusable(now: DesignEvaluation) -> list[ConfusablePair]:
-    """Return pairs that are seen and not told apart, the most alike first."""
+    """Return pairs of seen effects that cannot be told apart, the most similar first."""
     worst = sorted(now.pairs().items(), key=lambda item: item[1])
     order = now.names.index
     return [
@@ -160,9 +160,9 @@ def _confusable(now: DesignEvaluation) -> list[ConfusablePair]:
 
 
 def _further(name: str, now: DesignEvaluation, then: DesignEvaluation) -> FurtherMeasurement:
-    """Return what a design adds.
+    """Return the benefit of a design.
 
-    Effects that cannot be simulated in it are left out of both sides.
+    Effects that cannot be simulated in it are ignored on both sides.
     """
     order = now.names.index
     known = set(then.names)
@@ -189,7 +189,7 @@ def _further(name: str, now: DesignEvaluation, then: DesignEvaluation) -> Furthe
 
 
 def _ratio(before: FloatArray, after: FloatArray) -> float:
-    """Return the smallest magnitude found, after over before; geometric mean of parameters."""
+    """Return the ratio of minimum magnitudes, after to before; geometric mean of parameters."""
     both = np.isfinite(before) & np.isfinite(after)
     return float(np.exp(np.mean(np.log(after[both] / before[both])))) if both.any() else 1.0
 

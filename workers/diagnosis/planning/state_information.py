@@ -1,15 +1,15 @@
-r"""What a set of states could show of each effect, and which effects it tells apart.
+r"""Detectability of effects in a set of states, and the separation of pairs of effects.
 
-Nothing here looks at a residual.
+No residuals are used.
 
-Two effects are told apart by the evidence. If k acts at its prior scale, it beats j on
-average by the Kullback-Leibler divergence of their predictions
+The evidence separates two effects. If k acts at its prior scale, it beats j on average by the
+Kullback-Leibler divergence of their predictions
 
 .. math:: \tfrac12 [ \mathrm{tr}(\Sigma_j^{-1} \Sigma_k) - m + \ln|\Sigma_j| - \ln|\Sigma_k| ],
           \qquad \Sigma_k = P^{-1} + B_k S_k B_k',
 
 in nats (the discrimination criterion of G. E. P. Box and W. J. Hill, Technometrics 9
-(1967) 57). Bounds of one-sided parameters are left out.
+(1967) 57). Bounds of one-sided parameters are ignored.
 """
 
 from collections.abc import Sequence
@@ -29,19 +29,19 @@ from palpate.workers.diagnosis.screening.detectability import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detectability:
-    """What the scans could show of one effect.
+    """Detectability of one effect.
 
     Parameters
     ----------
     name : str
     minimum : ndarray, shape (q,)
-        Magnitude of each parameter found with 80 % power at 1 % false alarms.
+        Magnitude of each parameter detected with 80 % power at 1 % false alarms.
     absorbed : float
-        Share that hides in the nominal parameters; median over the places.
+        Share that the nominal parameters absorb; median over the places.
     nearest : str or None
-        The effect whose visible part looks most alike.
+        The effect with the most similar visible part.
     cosine : float
-        How alike, 0 to 1.
+        Their similarity, 0 to 1.
     """
 
     name: str
@@ -73,13 +73,13 @@ def detectability(
 
 
 def separation(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) -> FloatArray:
-    """Return log evidence by which an effect that acts beats another one, on average.
+    """Return the expected log Bayes factor of an acting effect against each other effect.
 
     Returns
     -------
     ndarray, shape (effects, effects)
-        ``[k, j]`` for k acting, in nats; the median over the places of k, against the best
-        place of j.
+        ``[k, j]`` for k acting, in nats; median over the places of k, against the best place of
+        j.
     """
     columns = [sensitivity.whitened(problem) for sensitivity in sensitivities]
     projected = [np.array([problem.project(B) for B in places]) for places in columns]
@@ -99,7 +99,7 @@ def separation(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) 
 
 
 def _divergence(kk: FloatArray, kj: FloatArray, jj: FloatArray) -> float:
-    """Return it from inner products in the metric P of the acting effect k and its rival j."""
+    """Return the divergence from inner products in the metric P of effect k and its rival j."""
     own, rival = np.eye(len(kk)) + kk, np.eye(len(jj)) + jj
     trace = np.trace(kk) - np.trace(kj @ np.linalg.solve(rival, kj.T))
     trace -= np.trace(np.linalg.solve(rival, jj))

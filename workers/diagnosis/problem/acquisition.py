@@ -1,6 +1,6 @@
-"""What is known of an acquisition before its loaded scans are made.
+"""An acquisition before its loaded scans are made.
 
-The reference scan, the planned loads, the noise of the segmentation and the model with its
+It has the reference scan, the planned loads, the noise of the segmentation and the model with its
 plausible constants. With the loaded scans it becomes an inverse problem.
 """
 
@@ -49,7 +49,7 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame, frame_of
 
 ProblemBuilder = Callable[[Values], Problem]
-"""From values of the free constants to the problem of one load."""
+"""Builds the problem of one load from values of the free constants."""
 
 INTERFACES: Sequence[Interface] = (OUTLINE, GLANDULAR)
 
@@ -61,25 +61,25 @@ class Acquisition:
     Parameters
     ----------
     name : str
-        As its owner calls it.
+        The name given by the user.
     reference : Volume
-        `Tissue` labels of the body at rest, on whose interfaces points are put.
+        `Tissue` labels of the body at rest, with the points on its interfaces.
     body : callable
-        Returns what is meshed.
+        Returns the volume to be meshed.
     mesh : callable
-        From that and a number of nodes to the mesh of the body.
+        Meshes that volume with a given number of nodes.
     noise : SegmentationNoise
     free : sequence of FreeConstant
         Constants of the model that the scans must determine.
     loads : sequence of str
         Names of the loaded scans.
     problem : callable
-        From the number of a load and the frame of the body to its problem.
+        Builds the problem of a load from its index and the frame of the body.
     effects : sequence of Effect
-        Catalogue of what may be missing from the model.
+        Catalogue of effects that may be missing from the model.
     pose_sd : tuple of float
-        How far a scan may lie from where its header puts it: along each axis in mm, about each
-        in degrees.
+        Prior standard deviation of a scan's pose relative to its header: along each axis in mm,
+        about each in degrees.
     """
 
     name: str
@@ -97,7 +97,7 @@ class Acquisition:
 def prepare_scan(
     acquisition: Acquisition, name: str, spacing_mm: float, loaded: Sequence[Volume] = ()
 ) -> Prepared:
-    """Make what has this name in `workers.diagnosis.problem.preparation`.
+    """Make a part of the inverse problem by its name in `workers.diagnosis.problem.preparation`.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def prepare_scan(
 def finer_model(
     acquisition: Acquisition, nodes: int, prepared: ReadPrepared | None = None
 ) -> Model:
-    """Return another mesh of the body, with about so many nodes."""
+    """Return another mesh of the body, with approximately the given number of nodes."""
     body = acquisition.body() if prepared is None else volume_of(prepared(BODY))
     return prepare(acquisition.mesh(body, nodes))
 
@@ -133,20 +133,20 @@ def inverse_problem_of(
     loaded: Sequence[Volume] = (),
     prepared: ReadPrepared | None = None,
 ) -> InverseProblem:
-    """Mesh the body, put points on its interfaces and compare them with the loaded scans.
+    """Mesh the body, place points on its interfaces and compare them with the loaded scans.
 
     Parameters
     ----------
     acquisition : Acquisition
     nodes : int
-        Of the mesh.
+        Number of nodes of the mesh.
     spacing_mm : float
-        Between neighbouring points on the interfaces.
+        Distance between neighbouring points on the interfaces.
     loaded : sequence of Volume
         `Tissue` labels under each load, in order. Without them the problem has no scans, and
         its covariance is that of one scan.
     prepared : callable, optional
-        Gives what `prepare_scan` makes where it is made already.
+        Returns the stored result of `prepare_scan`; by default it is made here.
 
     Raises
     ------

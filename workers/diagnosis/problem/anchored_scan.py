@@ -1,17 +1,16 @@
-r"""Scans whose noise stays the same for every hypothesis.
+r"""Scans with the same noise for every hypothesis.
 
-A residual is read where the model puts a material point. A hypothesis that lets the body slide
-by some mm reads it elsewhere on the drawn interface, where its error is another one: misfits of two
-hypotheses then differ by the difference of two draws of noise, which is tens of nats for a thousand
-points, and tells nothing of either. So the error is read once, where the nominal model puts the
-points, or the best effect (`diagnosis.verdict.second_reading`); how a hypothesis changes a residual
-is read off the interface averaged over a disc, which has little noise left but the same shape:
+A residual is evaluated at the predicted position of a material point. A hypothesis that moves the
+body by a few mm evaluates it at another position on the drawn interface, with a different error.
+The misfits of two hypotheses would then differ by the difference of two noise draws: tens of nats
+for a thousand points, without any information. The error is therefore evaluated once, at the points
+predicted by the nominal model or the best effect (`diagnosis.verdict.second_reading`). Changes of a
+residual come from the interface averaged over a disc, which has less noise but the same shape:
 
 .. math:: r(x) = d(x_0) + (\bar d(x) - \bar d(x_0)) / |\nabla \bar d(x_0)|
 
-The wider the disc, the less noise is left of it, but on a curved interface also the less of its
-slope: each point has the widest disc on which its interface is flat, and is stretched by what is
-missing.
+A wider disc reduces the noise but, on a curved interface, also the slope. Each point uses the
+widest disc on which its interface is flat, and the distance is scaled to restore the slope.
 """
 
 from dataclasses import replace
@@ -27,17 +26,17 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 def anchored(
     scan: Scan, anchor: FloatArray, points: InterfacePoints, correlation_mm: float
 ) -> Scan:
-    """Return a scan whose noise is that of one place.
+    """Return a scan with the noise fixed to its value at an anchor.
 
     Parameters
     ----------
     scan : Scan
     anchor : ndarray, shape (k, 3)
-        Where the model puts the points, and the noise is read.
+        Predicted positions of the points, at which the noise is evaluated.
     points : InterfacePoints
-        Of the reference.
+        Points of the reference.
     correlation_mm : float
-        Of the noise, in which radii of discs are counted.
+        Correlation length of the noise, the unit of the discs' radii.
     """
     drawn = scan.drawn or scan.compare
     there, raw = drawn(anchor, points)
@@ -76,14 +75,14 @@ def _flat_disc(
 def _averaged(
     compare: Compare, disc: FloatArray, moved: FloatArray, points: InterfacePoints
 ) -> tuple[FloatArray, FloatArray]:
-    """Return distances and their derivatives over a disc about each point."""
+    """Return distances and their derivatives averaged over a disc about each point."""
     found = [compare(moved + offset, points) for offset in disc]
     distances, normals = zip(*found, strict=True)
     return np.mean(distances, axis=0), np.mean(normals, axis=0)
 
 
 def _disc(normals: FloatArray, radius_mm: float) -> FloatArray:
-    """Return offsets across each normal, shape (n, k, 3)."""
+    """Return offsets perpendicular to each normal, shape (n, k, 3)."""
     n = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-9)[:, None]
     least = np.eye(3)[np.abs(n).argmin(axis=1)]
     u = np.cross(n, least)

@@ -1,4 +1,4 @@
-"""Who solves the problems of a diagnosis: tetrahedra, unless an organ brings its own model."""
+"""Forward solvers of a diagnosis: tetrahedra, unless an organ provides its own model."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,32 +11,32 @@ from palpate.workers.mechanics.fem.equilibrium import sensitivity, solve
 
 
 class Forward(Protocol):
-    """Solves and differentiates one kind of problem; what it returns it is given again."""
+    """A solver for one kind of problem; its return values are passed back to it unchanged."""
 
     def equilibrium(self, model: Any, problem: Any, start: Any = None) -> Any:
         """Return an equilibrium with its ``solution``; see `mechanics.fem.equilibrium.solve`."""
 
     def expecting(self, at: Any, moved_mm: FloatArray) -> Any:
-        """Return an equilibrium as a start, where nodes are expected to lie `moved_mm` further."""
+        """Return an equilibrium as a start, with an expected shift of the nodes by `moved_mm`."""
 
     def tangents(self, at: Any, changes: Sequence[Any], tolerance: float) -> FloatArray:
         """Return derivatives of the displacement; see `mechanics.fem.equilibrium.sensitivity`."""
 
     def loosened(self, problem: Any, tolerance_mm: float, friction_steps: int) -> Any:
-        """Return the problem with a coarser tolerance and fewer steps, where it has them.
+        """Return the problem with a coarser tolerance and fewer steps, if applicable.
 
-        An equilibrium that is not found from one nearby is given up.
+        If an equilibrium is not found from a nearby one, there are no further attempts.
         """
 
     def direction(self, problem: Any) -> Sequence[float]:
         """Return the direction in which the body is loaded, x, y, z."""
 
     def pressed(self, at: Any) -> BoolArray | None:
-        """Return which nodes a plate presses, shape (n,); None without plates."""
+        """Return a mask of the nodes that a plate presses, shape (n,); None without plates."""
 
 
 class Tetrahedra:
-    """See `Forward`: the solver of `workers.mechanics.fem`."""
+    """The solver of `workers.mechanics.fem`; see `Forward`."""
 
     def equilibrium(self, model: Any, problem: Any, start: Any = None) -> Any:
         """See `Forward.equilibrium`."""

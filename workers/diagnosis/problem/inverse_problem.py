@@ -1,4 +1,4 @@
-"""What is diagnosed: a body, its scans, and a model of it with constants to be found."""
+"""Inverse problem of a diagnosis: a body, its scans, and a model with unknown constants."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,12 +34,12 @@ class FreeConstant:
     ----------
     name : str
     lower, upper : float
-        Where it plausibly lies, inside units, both > 0. Its logarithm has a normal
-        prior, with the interval as mean and standard deviation.
+        Plausible interval in internal units, both > 0. The logarithm has a normal prior, whose
+        mean plus or minus one standard deviation is the interval.
     unit : Unit
-        At the door.
+        External unit.
     is_bound : bool
-        Whether the interval bounds the fit, too.
+        Whether the interval also bounds the fit.
     """
 
     name: str
@@ -68,16 +68,16 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class FollowedPoints:
-    """Points of the interfaces as the mesh of the body carries them along.
+    """Points of the interfaces that move with the mesh of the body.
 
     Parameters
     ----------
     points : ndarray, shape (k, 3)
         At rest, in mm.
     at_points : csr_matrix, shape (k, n)
-        From displacements of the nodes to those of the points.
+        Interpolates displacements of the nodes to the points.
     pressed : ndarray, shape (k,)
-        How far each is on a plate, 0 to 1; see `workers.diagnosis.problem.pressed_points`.
+        Pressed share of each point, 0 to 1; see `workers.diagnosis.problem.pressed_points`.
     """
 
     points: FloatArray
@@ -85,31 +85,31 @@ class FollowedPoints:
     pressed: FloatArray
 
     def moved(self, displacement_mm: FloatArray) -> FloatArray:
-        """Return where points are under a displacement of the nodes (n, 3), shape (k, 3)."""
+        """Return the positions of the points, (k, 3), for displacements of the nodes (n, 3)."""
         return np.asarray(self.points + self.at_points @ displacement_mm)
 
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """The body in one loaded state: what was observed, and the problem of that load.
+    """The observed body in one loaded state, and the problem of that load.
 
     Parameters
     ----------
     name : str
     problem : callable
-        From values of the free constants.
+        Builds the problem from values of the free constants.
     compare : callable
-        From moved points, (k, 3), and the points of the reference to residuals, (k,) in
-        mm, and their derivatives by the place of the point, (k, 3).
+        Takes moved points, (k, 3), and the points of the reference; returns residuals, (k,) in
+        mm, and their derivatives by the positions, (k, 3).
     drawn : callable, optional
-        The same for interfaces as they were drawn, where `compare` has their noise from
-        elsewhere; see `workers.diagnosis.problem.anchored_scan`.
+        The same for the interfaces as drawn, if `compare` uses noise fixed to an anchor; see
+        `workers.diagnosis.problem.anchored_scan`.
     interface_mm2 : sequence of float
-        Area of each interface that the scan shows; none where it shows markers.
+        Area of each interface in the scan; empty for markers.
     voxel_mm : tuple of float, optional
-        Edges of its voxels along x, y and z, where it shows labels.
+        Voxel size along x, y and z, for labels.
     followed : FollowedPoints, optional
-        How the points are followed under this load, where plates press some of them.
+        Points as followed under this load, if plates press some of them.
     """
 
     name: str
@@ -130,38 +130,37 @@ class InverseProblem:
     model : Model
     frame : Frame
     points : InterfacePoints
-        On the interfaces of the reference scan, k of them.
+        The k points on the interfaces of the reference scan.
     at_points : csr_matrix, shape (k, n)
-        From displacements of the nodes to those of the points.
+        Interpolates displacements of the nodes to the points.
     free : sequence of FreeConstant
     scans : sequence of Scan
     noise : SegmentationNoise
     covariance : ndarray, shape (s k, s k)
-        Of the noise of the residuals of all scans, one after another, in mm^2; without poses,
+        Noise covariance of the residuals of all scans, one after another, in mm^2; without poses,
         whose columns belong to a fit.
     bias : ndarray, shape (s k,)
-        What the mesh adds to the residuals, in mm; subtracted.
+        Mesh error of the residuals, in mm; subtracted.
     is_segmented : bool
-        Whether residuals are distances to interfaces that somebody has drawn: their noise is
-        then learnt, and a scan may lie elsewhere than its header says. Not for markers, whose
-        noise was measured.
+        Whether residuals are distances to segmented interfaces, whose noise is learnt and whose
+        scans may deviate from the poses in their headers. False for markers, whose noise was
+        measured.
     learnt : LearntNoise, optional
-        The noise as the calibration has found it; `covariance` then is its likeliest one.
+        The noise found by the calibration; `covariance` is then its likeliest state.
     anchors : sequence of ndarray, shape (k, 3)
-        Where the noise of each scan was read; see `workers.diagnosis.problem.anchored_scan`. None
-        before the calibration.
+        Positions at which the noise of each scan was evaluated; see
+        `workers.diagnosis.problem.anchored_scan`. Empty before the calibration.
     arms : csr_matrix, shape (k, n), optional
-        From displacements of the nodes to those of the end of an arm of 1 mm, which
-        stands on the surface at the point, less those of its foot. None where no point
-        is a marker.
+        Maps displacements of the nodes to the displacement of the end of an arm of 1 mm
+        perpendicular to the surface at the point, relative to its foot. None without markers.
     pose_sd : tuple of float
-        How far a scan may lie from where its header puts it: along each axis in mm, about each
-        in degrees.
+        Prior standard deviation of a scan's pose relative to its header: along each axis in mm,
+        about each in degrees.
     left_out : int
-        Points that are not among `points` any more, because some scan does not show them clearly.
+        Number of points removed because some scan does not show them clearly.
     forward : Forward
     something_else : FieldSettings
-        Prior of the field that stands for what is not in the catalogue.
+        Prior of the smooth field for unlisted causes.
     """
 
     model: Model
@@ -189,58 +188,58 @@ class InverseProblem:
 
     @cached_property
     def scatter_factor(self) -> FloatArray:
-        """The same without drawing, which `drawing` has as columns."""
+        """Lower Cholesky factor without the contour bias, whose columns are in `drawing`."""
         if self.learnt is None:
             return self.covariance_factor
         return factored(self.learnt.scatter)
 
     @property
     def drawing(self) -> FloatArray:
-        """Columns of interfaces drawn too large, per prior sd, shape (s k, q), in mm."""
+        """Columns of contour bias, per prior sd, shape (s k, q), in mm."""
         if self.learnt is None:
             return np.zeros((len(self.bias), 0))
         return self.learnt.parts.fixed
 
     @property
     def has_poses(self) -> bool:
-        """Whether scans may lie elsewhere than their headers say."""
+        """Whether scans may deviate from the poses in their headers."""
         return self.learnt is not None and self.is_segmented
 
     @property
     def nuisance_count(self) -> int:
-        """How many columns of poses and drawing a fit has."""
+        """Number of columns of poses and contour bias in a fit."""
         poses = 6 * len(self.scans) if self.has_poses else 0
         return poses + self.drawing.shape[1]
 
     def followed(self, scan: Scan) -> FollowedPoints:
-        """Return how the points are followed under the load of a scan."""
+        """Return the points as followed under the load of a scan."""
         free = FollowedPoints(self.points.points, self.at_points, np.zeros(len(self.points)))
         return scan.followed or free
 
     @cached_property
     def directions(self) -> FloatArray:
-        """Unit vectors along which the body is loaded in each scan, shape (s, 3)."""
+        """Unit vectors of the load direction in each scan, shape (s, 3)."""
         middle = {one.name: float(np.exp(one.log_mean)) for one in self.free}
         found = np.array([self.forward.direction(scan.problem(middle)) for scan in self.scans])
         return np.asarray(found / np.linalg.norm(found, axis=1)[:, None])
 
     @property
     def is_force(self) -> BoolArray:
-        """Which points are readings of forces, of which there is no gap in mm, shape (k,)."""
+        """Mask of the points that are force readings, which have no gap in mm, shape (k,)."""
         return np.asarray(self.points.interface == FORCE)
 
     @property
     def is_place(self) -> BoolArray:
-        """Which residuals are distances, shape (s k,)."""
+        """Mask of the residuals that are distances, shape (s k,)."""
         return np.tile(~self.is_force, len(self.scans))
 
     @cached_property
     def rows(self) -> IntArray:
-        """The scan of each residual, shape (s k,)."""
+        """Index of the scan of each residual, shape (s k,)."""
         return np.repeat(np.arange(len(self.scans), dtype=np.int32), len(self.points))
 
     def keeping(self, which: BoolArray) -> "InverseProblem":
-        """Return the problem with some of the points only."""
+        """Return the problem with a subset of the points."""
         index = np.flatnonzero(which)
         rows = np.concatenate([index + s * len(which) for s in range(len(self.scans))])
         return replace(
@@ -256,14 +255,14 @@ class InverseProblem:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """The parameters of a hypothesis: logarithms of the constants, then those of effects.
+    """The parameters of a hypothesis: logarithms of the constants, then effect parameters.
 
     Parameters
     ----------
     free : sequence of FreeConstant
     effects : sequence of Effect
     mean, sd : ndarray, shape (p,)
-        Prior. An effect's place has its own.
+        Prior, including the place of an effect.
     """
 
     free: Sequence[FreeConstant]
@@ -273,31 +272,31 @@ class Unknowns:
 
     @property
     def names(self) -> list[str]:
-        """Of all parameters, in order."""
+        """Names of all parameters, in order."""
         return [f.name for f in self.free] + [n for e in self.effects for n in e.names]
 
     @property
     def lower(self) -> FloatArray:
-        """Least admissible values: one-sided parameters begin at zero."""
+        """Smallest admissible values; zero for one-sided parameters."""
         return self._ends()[0]
 
     @property
     def upper(self) -> FloatArray:
-        """Largest admissible values, four prior standard deviations away at most."""
+        """Largest admissible values, at most four prior standard deviations away."""
         return self._ends()[1]
 
     @property
     def one_sided(self) -> BoolArray:
-        """Which parameters have a half-normal prior."""
+        """Mask of the parameters with a half-normal prior."""
         sides = [False] * len(self.free)
         for e in self.effects:
             sides += [one_sided(p) and not e.if_present for p in e.parameters]
         return np.array(sides)
 
     def at_bound(self, z: FloatArray) -> IntArray:
-        """Return which parameters lie at a bound: 1 at a lower, -1 at an upper one, else 0.
+        """Mark the parameters at a bound: 1 at a lower, -1 at an upper bound, else 0.
 
-        The neutral value of a one-sided one is none: its prior ends there.
+        The neutral value of a one-sided parameter is no bound, as its prior ends there.
         """
         lower = (z <= self.lower) & ~self.one_sided
         return lower.astype(np.int32) - (z >= self.upper)
@@ -328,12 +327,12 @@ class Unknowns:
 def unknowns(
     free: Sequence[FreeConstant], effects: Sequence[Effect], means: Values | None = None
 ) -> Unknowns:
-    """Return the parameters of the hypothesis that `effects` act.
+    """Return the parameters of the hypothesis with the given effects.
 
     Parameters
     ----------
     means : mapping of str to float, optional
-        Prior means that are not the neutral values: the place of a lump.
+        Prior means other than the neutral values, such as the place of a lump.
     """
     mean, sd = [f.log_mean for f in free], [f.log_sd for f in free]
     for effect in effects:

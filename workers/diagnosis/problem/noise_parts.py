@@ -1,4 +1,4 @@
-"""What the noise of a case is made of, at the first fit of its constants."""
+"""Components of the noise of a case, at the first fit of its constants."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,7 +21,7 @@ def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) ->
     Parameters
     ----------
     inverse : InverseProblem
-        With the bias of its mesh, and the covariance that is stated.
+        With the bias of its mesh and the stated covariance.
     predictions : sequence of ComparedScan
         One for each scan.
     """
@@ -35,9 +35,9 @@ def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) ->
 
 
 def planned_covariance(inverse: InverseProblem) -> FloatArray:
-    """Return that of scans that are not made yet, shape (m, m), in mm^2.
+    """Return the noise covariance of planned scans, shape (m, m), in mm^2.
 
-    As it is stated, with poses and drawing; points are where the body is at rest.
+    It is the stated one, with poses and contour bias, for the points at rest.
     """
     scans, points = len(inverse.scans), inverse.points
     carried = np.ones((scans, len(points)))
@@ -51,7 +51,7 @@ def planned_covariance(inverse: InverseProblem) -> FloatArray:
 
 
 def _drawing(inverse: InverseProblem) -> FloatArray:
-    """Return the columns of interfaces drawn too large."""
+    """Return the columns of contour bias."""
     sd_mm = inverse.noise.sd_mm
     each = SETTINGS.pose.drawing * sd_mm if inverse.is_segmented else 0.0
     common = SETTINGS.noise.common * sd_mm
@@ -59,12 +59,12 @@ def _drawing(inverse: InverseProblem) -> FloatArray:
 
 
 def noise_lengths(inverse: InverseProblem) -> tuple[float, ...]:
-    """Return correlation lengths over the stated one; measured noise has its own only."""
+    """Return correlation lengths divided by the stated one; only 1 for measured noise."""
     return SETTINGS.noise.lengths if inverse.is_segmented else (1.0,)
 
 
 def stated_covariances(inverse: InverseProblem) -> tuple[FloatArray, ...]:
-    """Return that of the observation for each correlation length, shape (m, m)."""
+    """Return the stated noise covariance for each correlation length, shape (m, m)."""
     if not inverse.is_segmented:
         return (inverse.covariance + _smoother(inverse, 1.0, _carried(inverse)),)
     found = []
@@ -77,14 +77,14 @@ def stated_covariances(inverse: InverseProblem) -> tuple[FloatArray, ...]:
 
 
 def _carried(inverse: InverseProblem) -> FloatArray:
-    """Return the part of the error at rest that points carry to each scan, shape (s, k)."""
+    """Return the share of the error at rest that enters each scan's residuals, shape (s, k)."""
     return 1.0 - np.stack([inverse.followed(scan).pressed for scan in inverse.scans])
 
 
 def _smoother(inverse: InverseProblem, factor: float, carried: FloatArray) -> FloatArray:
-    """Return what of the noise of every scan, of the one at rest too, is smoother than is said.
+    """Return the covariance of the part of the noise that is smoother than stated.
 
-    `carried` is the part of the error at rest that points carry to each scan, shape (s, k).
+    `carried` is the share of the error at rest that enters each scan's residuals, shape (s, k).
     """
     settings, noise, scans = SETTINGS.noise, inverse.noise, len(inverse.scans)
     smooth = correlation(inverse.points, settings.smoother_lengths * factor * noise.correlation_mm)
@@ -95,7 +95,7 @@ def _smoother(inverse: InverseProblem, factor: float, carried: FloatArray) -> Fl
 
 
 def _numerical(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
-    """Return the columns of the numerical error; it grows with the element and the load."""
+    """Return the columns of the numerical error, which grows with element size and load."""
     settings, shape = SETTINGS.numerical, (len(inverse.scans), -1)
     difference = np.sqrt((inverse.bias.reshape(shape) ** 2).mean(axis=1))
     least_mm = max(settings.least_mm, settings.of_nugget * inverse.noise.nugget_mm)

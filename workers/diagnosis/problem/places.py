@@ -1,4 +1,4 @@
-"""Where an effect that acts at one place is looked for."""
+"""Grids of candidate places for localised effects."""
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -10,7 +10,7 @@ from palpate.workers.mechanics.effects.base import Effect
 
 
 def places_of(inverse: InverseProblem, effect: Effect) -> FloatArray:
-    """Return the places of a grid at which an effect is looked for.
+    """Return the grid of places at which an effect is tried.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ def places_of(inverse: InverseProblem, effect: Effect) -> FloatArray:
 
 
 def starting_places(effect: Effect, places: FloatArray, log_bayes_factors: FloatArray) -> list[int]:
-    """Return from which of its places the fit of an effect should begin, the best one first.
+    """Return the indices of the places from which to start the fit of an effect, the best first.
 
-    Neighbours on the grid lead to the same optimum, and places far behind to none that counts.
+    Neighbours on the grid lead to the same optimum and are skipped, as are unlikely places.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def starting_places(effect: Effect, places: FloatArray, log_bayes_factors: Float
     places : ndarray, shape (g, 3) or (g, 4)
         See `places_of`.
     log_bayes_factors : ndarray, shape (g,)
-        Of the effect at each place.
+        For the effect at each place.
     """
     settings, grid = SETTINGS.joint_fits, SETTINGS.sensitivities
     inside = effect.place is not None and effect.place.on == "inside"
@@ -67,7 +67,7 @@ def starting_places(effect: Effect, places: FloatArray, log_bayes_factors: Float
 
 
 def _inside(inverse: InverseProblem) -> FloatArray:
-    """Return points inside the body, as far apart as `inside_grid_mm` of the settings."""
+    """Return points inside the body with a spacing of `inside_grid_mm` of the settings."""
     settings = SETTINGS.sensitivities
     nodes = inverse.model.finest.nodes
     spacing = settings.inside_grid_mm
@@ -80,9 +80,9 @@ def _inside(inverse: InverseProblem) -> FloatArray:
 
 
 def _on_boundary(inverse: InverseProblem, spacing_mm: float) -> FloatArray:
-    """Return nodes of skin and chest wall, one in each cube of that edge length.
+    """Return nodes of skin and chest wall, one in each cube of the given edge length.
 
-    It is the one that is nearest to the middle of all nodes in the cube.
+    It is the node closest to the mean of all nodes in the cube.
     """
     level = inverse.model.finest
     on = level.wall_areas > 0

@@ -1,11 +1,11 @@
-"""Prepared of an inverse problem that any process can make before the others, as named arrays.
+"""Parts of an inverse problem that any process can prepare in advance, as named arrays.
 
 ::
 
     points    on the interfaces of the scan at rest
-    body      what is meshed
+    body      the volume to be meshed
     scan N    distances to the interfaces of a loaded scan, and their areas
-    shapes    interfaces of the scan at rest, as a page shows them
+    shapes    interfaces of the scan at rest, as shown on a page
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +21,7 @@ from palpate.workers.comparison.observation.signed_distance import SignedDistanc
 
 Prepared = dict[str, NDArray[Any]]
 ReadPrepared = Callable[[str], Prepared]
-"""From the name of a preparation to its arrays."""
+"""Returns the arrays of a preparation by its name."""
 
 POINTS, BODY, SHAPES = "points", "body", "shapes"
 _PLACE, _AREAS = "place", "interface_mm2"
@@ -33,7 +33,7 @@ def scan_preparation(number: int) -> str:
 
 
 def preparations_of(scans: int) -> tuple[str, ...]:
-    """Return the names of all for a body with so many loaded scans, the longest first."""
+    """Return the names of all preparations for a number of loaded scans, the slowest first."""
     return (POINTS, *map(scan_preparation, range(scans)), BODY, SHAPES)
 
 
@@ -43,7 +43,7 @@ def arrays_of_volume(volume: Volume) -> Prepared:
 
 
 def volume_of(arrays: Prepared) -> Volume:
-    """Return the volume that `arrays_of_volume` was given."""
+    """Return the volume from arrays of `arrays_of_volume`."""
     return Volume(arrays["values"], *_spacing_and_origin(arrays))
 
 
@@ -59,7 +59,7 @@ def arrays_of_points(points: InterfacePoints) -> Prepared:
 
 
 def points_of(arrays: Prepared) -> InterfacePoints:
-    """Return the points that `arrays_of_points` was given."""
+    """Return the points from arrays of `arrays_of_points`."""
     return InterfacePoints(**arrays)
 
 
@@ -71,7 +71,7 @@ def arrays_of_distances(observed: Observed) -> Prepared:
 
 
 def distances_of(arrays: Prepared) -> Observed:
-    """Return the distances that `arrays_of_distances` was given."""
+    """Return the distances from arrays of `arrays_of_distances`."""
     spacing, origin = _spacing_and_origin(arrays)
     return Observed(
         tuple(

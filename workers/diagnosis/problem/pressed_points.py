@@ -1,14 +1,14 @@
-"""Points of the outline that a plate presses: they lie on the plate, whatever was drawn.
+"""Points of the outline that a plate presses, which are on the plate whatever was drawn.
 
-The points of a diagnosis lie on the drawn outline, its mesh cuts the corners of a smoothed one: a
-point is some tenths of a millimetre above a face or below. What is free carries that along; what a
-plate presses becomes flat, bumps and all. Such a point is followed at its foot on the mesh, and the
-error with which it was drawn at rest is not in its residual. (Followed with its bump, points of
-three controls stood out of the plate by 0.1 to 0.5 mm, all the same way, since flat faces lie
-inside of a round body.)
+The points of a diagnosis are on the drawn outline, while the faces of the mesh cut the corners of a
+smoothed outline, so a point is a few tenths of a millimetre above or below a face. On the free
+surface this offset moves with the body; under a plate the surface becomes flat. A pressed point is
+therefore followed at its foot on the mesh, and its residual excludes the segmentation error at
+rest. (Followed with their offsets, points of three controls were outside the plate by 0.1 to 0.5
+mm, all in the same direction, since flat faces are inside a round body.)
 
-Labels at rest that have no such error are those that a mesh of ours has moved, bumps and all:
-their points are followed as before.
+Labels at rest without such an error come from a mesh of our own, which moves the offsets too; their
+points are followed as on the free surface.
 """
 
 from collections.abc import Sequence
@@ -22,19 +22,19 @@ from palpate.storage.values import BoolArray, FloatArray, IntArray
 from palpate.workers.diagnosis.problem.inverse_problem import FollowedPoints, InverseProblem
 from palpate.workers.mechanics.fem.elements.model import LevelModel
 
-# Faces about a point among which its foot is looked for.
+# Number of faces near a point that are searched for its foot.
 NEAREST = 16
 
 
 def with_pressed_points(inverse: InverseProblem, pressed: Sequence[FloatArray]) -> InverseProblem:
-    """Return the problem whose points are followed on the surface where plates press.
+    """Return the problem with pressed points followed on the surface of the mesh.
 
     Parameters
     ----------
     inverse : InverseProblem
     pressed : sequence of ndarray, shape (k,)
-        For each scan, how far each point is pressed, 0 to 1; see `pressed_shares`. If none is
-        in any scan, the problem stays as it is.
+        Pressed share of each point, 0 to 1, for each scan; see `pressed_shares`. If no point is
+        pressed in any scan, the problem is returned unchanged.
     """
     if not any(share.any() for share in pressed):
         return inverse
@@ -50,7 +50,7 @@ def with_pressed_points(inverse: InverseProblem, pressed: Sequence[FloatArray]) 
 
 
 def pressed_shares(inverse: InverseProblem, pressed: BoolArray) -> FloatArray:
-    """Return how far each point is pressed, shape (k,): 1 in a face whose corners all are.
+    """Return the pressed share of each point, shape (k,): 1 in a face with all corners pressed.
 
     Parameters
     ----------
@@ -63,9 +63,9 @@ def pressed_shares(inverse: InverseProblem, pressed: BoolArray) -> FloatArray:
 
 
 def _feet(level: LevelModel, points: FloatArray) -> csr_matrix:
-    """Return the matrix from values at nodes to those at the feet of points on the free surface.
+    """Return the interpolation matrix from nodes to the feet of points on the free surface.
 
-    The foot is dropped on the plane of a face and, if it misses the face, moved to its rim.
+    The foot is the projection on the plane of a face, moved to its rim if it misses the face.
     """
     faces = level.contact_nodes.index[level.contact_nodes.faces.corners]
     corners = level.nodes[faces]
@@ -80,7 +80,7 @@ def _feet(level: LevelModel, points: FloatArray) -> csr_matrix:
 
 
 def _barycentric(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """Return weights of corners (k, f, 3, 3) at points (k, 1, 3): none below zero, their sum 1."""
+    """Return nonnegative weights, with sum 1, of corners (k, f, 3, 3) at points (k, 1, 3)."""
     a, b = corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
     p = points - corners[:, :, 0]
     aa, ab, bb = ((x * y).sum(axis=2) for x, y in ((a, a), (a, b), (b, b)))

@@ -1,14 +1,14 @@
-r"""Where each scan lies: a rigid motion as unknown as the constants, found for any of them.
+r"""Poses of the scans: unknown rigid motions, estimated for any values of the constants.
 
-With residuals r of a model that is compared with scans at poses p, their derivatives -N by these
-and noise of covariance S otherwise, poses are those of the least
+With residuals r of a model compared with scans at poses p, their derivatives -N by the poses, and
+other noise of covariance S, the poses minimise
 
 .. math:: |S^{-1/2} (r + N p - N q)|^2 + |q|^2
 
-over q, counted in prior standard deviations. N is that of the place where a scan is compared: the
-rows of a drawn interface point elsewhere a millimetre on, and where all points together know a
-pose far better than its prior does, derivatives of another place find another one. Integrated over
-q, r + N p has the covariance S + N N'.
+over q, in prior standard deviations. N must be evaluated at the present pose: the normals of a
+drawn interface change within a millimetre, and as all points together determine a pose far better
+than its prior, derivatives from elsewhere would give a different pose. Integrated over q, r + N p
+has the covariance S + N N'.
 """
 
 from collections.abc import Sequence
@@ -28,14 +28,14 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 
 def residuals(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
-    """Return residuals of all scans, less what the mesh adds, shape (m,)."""
+    """Return the residuals of all scans without the mesh bias, shape (m,)."""
     return np.concatenate([v.residual for v in predictions]) - inverse.bias
 
 
 def poses_of(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
-    """Return what poses do to the residuals per prior standard deviation, shape (m, 6 s).
+    """Return derivatives of the residuals by poses, per prior standard deviation, (m, 6 s).
 
-    No columns where scans lie where they should.
+    There are no columns if the poses are known.
     """
     if not inverse.has_poses:
         return np.zeros((len(inverse.bias), 0))
@@ -44,13 +44,13 @@ def poses_of(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> Fl
 
 
 class PosedNoise:
-    """The noise of residuals whose scans may lie anywhere.
+    """The noise of residuals with uncertain poses.
 
     Parameters
     ----------
     inverse : InverseProblem
     predictions : sequence of ComparedScan
-        What the poses do is taken from them.
+        Predictions that provide the pose columns.
     """
 
     def __init__(self, inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> None:
@@ -60,7 +60,7 @@ class PosedNoise:
         self._curvature = cho_factor(curvature, lower=True)
 
     def whiten(self, values: FloatArray) -> FloatArray:
-        """Return values, (m,) or (m, k), in the space where the other noise is white."""
+        """Return values, (m,) or (m, k), in the space where the noise without poses is white."""
         return np.asarray(
             solve_triangular(self._factor, values, lower=True, check_finite=False), np.float64
         )
@@ -70,18 +70,18 @@ class PosedNoise:
         return np.asarray(cho_solve(self._curvature, self._poses.T @ white))
 
     def cleared(self, white: FloatArray) -> FloatArray:
-        """Return whitened values times the precision of what poses leave."""
+        """Return whitened values times the precision that remains after fitting poses."""
         return white - self._poses @ self.poses(white)
 
 
 def registered(
     inverse: InverseProblem, unknowns: Unknowns, z: FloatArray, found: Sequence[PredictedScan]
 ) -> tuple[PredictedScan, ...]:
-    """Compare with the scans where the residuals say that they lie.
+    """Estimate the poses from the residuals and compare with the scans there.
 
-    A cost belongs to parameters only where this has settled: off the interface it is too low.
-    Distances may have a kink, across which the best pose lies on either side the other one:
-    steps that do not become shorter are halved.
+    The cost is meaningful only once the poses have converged: off the interface it is too low.
+    Distances may have a kink at which the best pose alternates between both sides, so steps that
+    do not become shorter are halved.
     """
     found = tuple(found)
     if not inverse.has_poses:

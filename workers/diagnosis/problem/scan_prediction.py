@@ -1,4 +1,4 @@
-"""The scans as a hypothesis predicts them: residuals, and their derivatives."""
+"""Predictions of the scans under a hypothesis: residuals and their derivatives."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,12 +28,12 @@ class ComparedScan:
     Parameters
     ----------
     points : ndarray, shape (k, 3)
-        Where the points of the interfaces have gone.
+        Predicted positions of the points of the interfaces.
     residual : ndarray, shape (k,)
-        In mm, positive outside of the observed tissue; what the scan's pose adds is in it, as
-        far as it is linear.
+        In mm, positive outside the observed tissue; includes the linear contribution of the
+        scan's pose.
     normals : ndarray, shape (k, 3)
-        Of the observed interfaces.
+        Normals of the observed interfaces.
     """
 
     points: FloatArray
@@ -43,10 +43,10 @@ class ComparedScan:
 
 @dataclass(frozen=True, eq=False)
 class PredictedScan(ComparedScan):
-    """The same with the equilibrium of the model, from which others can be solved.
+    """A compared scan with the equilibrium of the model, as a start for solving others.
 
-    `followed` is how the points were followed. `pose` is where the scan is supposed to lie: a
-    motion of the model against it, 3 shifts in mm and 3 turns in degrees.
+    `followed` are the points as followed. `pose` is the assumed pose of the scan: a motion of the
+    model relative to it, 3 shifts in mm and 3 rotations in degrees.
     """
 
     at: Equilibrium
@@ -54,13 +54,13 @@ class PredictedScan(ComparedScan):
     pose: FloatArray | None = None
 
     def along_normals(self, nodal: FloatArray) -> FloatArray:
-        """Return how a motion of the nodes (n, 3) moves the points along the normals, (k,)."""
+        """Return the motion of the points along the normals, (k,), for one of the nodes (n, 3)."""
         moved = self.followed.at_points @ nodal
         return np.asarray((moved * self.normals).sum(axis=1))
 
 
 def tissues_of(inverse: InverseProblem) -> IntArray:
-    """Return the tissue that the interface of each point encloses: fat for the outline."""
+    """Return the tissue enclosed by the interface of each point: fat for the outline."""
     outline = inverse.points.interface == 0
     return np.where(outline, Tissue.FAT, Tissue.GLANDULAR).astype(np.int32)
 
@@ -68,7 +68,7 @@ def tissues_of(inverse: InverseProblem) -> IntArray:
 def problem_of(
     scan: Scan, unknowns: Unknowns, z: FloatArray, frame: Frame, leave_out: Effect | None = None
 ) -> Problem:
-    """Return the problem of a scan with all effects of a hypothesis but one."""
+    """Return the problem of a scan with the effects of a hypothesis, optionally without one."""
     problem = scan.problem(unknowns.constants(z))
     if any(effect.follows_path for effect in unknowns.effects):
         steps = min(problem.friction_steps, SETTINGS.fit.friction_steps)
@@ -106,10 +106,10 @@ def compare_with_scan(
     at: Equilibrium,
     pose: FloatArray | None = None,
 ) -> PredictedScan:
-    """Compare an equilibrium with the scan, where it lies or is supposed to lie.
+    """Compare an equilibrium with the scan at its nominal or assumed pose.
 
-    Far off an interface, distances to it are smoother than where it is, and no longer linear: a
-    motion of the scan is taken off the points, not off the distances.
+    Far from an interface, distances to it are smoother than close to it and no longer linear, so
+    the motion of the scan is subtracted from the points, not from the distances.
     """
     followed = inverse.followed(scan)
     points = followed.moved(at.solution.displacement_mm)
@@ -134,7 +134,7 @@ def compared_points(
     points: FloatArray,
     pose: FloatArray | None,
 ) -> FloatArray:
-    """Return where points that the model has moved are compared with a scan, shape (k, 3)."""
+    """Return the positions of moved points in the coordinates of a scan, shape (k, 3)."""
     centre_mm = inverse.frame.centre_mm
     for effect in unknowns.effects:
         if effect.moves_scan:
@@ -145,10 +145,10 @@ def compared_points(
 
 @dataclass(frozen=True, eq=False)
 class ScanJacobian:
-    """Derivatives of one scan by all parameters, shape (k, p), and where they were taken.
+    """Derivatives of one scan by all parameters, shape (k, p), and the values `z` used.
 
-    `moved` is what the parameters do to the nodes, (p, n, 3), as far as tangents know it. Fresh
-    unless a column was taken over from a place nearby.
+    `moved` are the tangents of the nodes' displacements, (p, n, 3). `fresh` is False if a column
+    was reused from nearby parameter values.
     """
 
     z: FloatArray
@@ -165,11 +165,11 @@ def derivatives(
     prediction: PredictedScan,
     before: ScanJacobian | None = None,
 ) -> ScanJacobian:
-    """Return derivatives of the residual by every parameter.
+    """Return the derivatives of the residual by every parameter.
 
-    Tangents describe the last step of the load only. Of an effect that follows the path of the
-    load, such as friction, the derivative comes from another simulation, unless `before` was
-    taken at about the same value; for other parameters the tangents are good enough.
+    Tangents describe only the last load step. For a path-dependent effect, such as friction, the
+    derivative comes from another simulation, unless `before` was computed at about the same value;
+    for other parameters the tangents are accurate enough.
     """
     moved, fresh = _moved_nodes(inverse, scan, unknowns, z, prediction), True
     found = _columns_of_all(inverse, unknowns, z, prediction, moved)
@@ -178,7 +178,7 @@ def derivatives(
         at = unknowns.names.index(name)
         near = SETTINGS.fit.friction_near * unknowns.sd[at]
         if before is not None and abs(z[at] - before.z[at]) < near:
-            # The place where that column was taken stays: it must not drift.
+            # Keep the value at which that column was computed, so that it does not drift.
             found[:, at] = before.columns[:, at]
             taken_at[at] = before.z[at]
             fresh = False
@@ -194,7 +194,7 @@ def _moved_nodes(
     z: FloatArray,
     prediction: PredictedScan,
 ) -> FloatArray:
-    """Return what all parameters do to the nodes, (p, n, 3); zero where the path counts."""
+    """Return the tangents of all parameters, (p, n, 3); zero for path-dependent effects."""
     changes = [_log_change(inverse, scan, unknowns, z, i) for i in range(len(unknowns.free))]
     moving = list(range(len(unknowns.free)))
     for effect in unknowns.effects:
@@ -215,7 +215,7 @@ def _columns_of_all(
     prediction: PredictedScan,
     moved: FloatArray,
 ) -> FloatArray:
-    """Return derivatives of the residual by all parameters, which move the nodes so."""
+    """Return derivatives of the residual by all parameters, given the motion of the nodes."""
     observed = [(e, unknowns.of_effect(e, z)) for e in unknowns.effects if not e.acts_on_body]
     columns = _along_motions(inverse, prediction, moved, observed)
     for effect, _ in observed:
@@ -233,7 +233,7 @@ def _by_solving(
     prediction: PredictedScan,
     at: int,
 ) -> FloatArray:
-    """Return the column of parameter number `at`; zero where the simulation fails."""
+    """Return the column of parameter number `at`; zero if the simulation fails."""
     h = SETTINGS.fit.friction_step * unknowns.sd[at]
     ahead = z.copy()
     ahead[at] += h
@@ -251,7 +251,7 @@ def columns_of(
 ) -> FloatArray:
     """Return derivatives of the residual by changes of the problem, shape (k, c).
 
-    `tolerance` is that of `tangents`.
+    `tolerance` is passed to `tangents`.
     """
     moved = inverse.forward.tangents(prediction.at, changes, tolerance)
     return _along_motions(inverse, prediction, moved)
@@ -265,8 +265,8 @@ def _along_motions(
 ) -> FloatArray:
     """Return derivatives of the residual along motions of the nodes, (c, n, 3): (k, c).
 
-    `observed` are the effects on the observation that act, with their values: a point that
-    moves is seen elsewhere.
+    `observed` are the acting effects on the observation with their values, which change with the
+    position of a point.
     """
     out = np.empty((len(prediction.residual), len(moved)))
     for c, nodal in enumerate(moved):
@@ -283,7 +283,7 @@ def _shift_along(
     values: Mapping[str, float],
     u: FloatArray,
 ) -> FloatArray:
-    """Return the derivative of `Effect.shift`, affine in what it sees, along nodal motion `u`."""
+    """Return the derivative of `Effect.shift`, affine in its input, along nodal motion `u`."""
     here = _seen_by(effect, inverse, prediction.followed, prediction.at)
     step = _moves(effect, inverse, prediction.followed, u)
     rest = prediction.normals, tissues_of(inverse), values, inverse.frame
@@ -303,14 +303,14 @@ def observed_columns(
 
 
 def _of_places(inverse: InverseProblem, shift: FloatArray) -> FloatArray:
-    """Return what an effect on the observation does, (k, ...): load cells are not looked at."""
+    """Set the shift by an effect on the observation, (k, ...), to zero for load cells."""
     return np.where(inverse.is_force.reshape(-1, *[1] * (shift.ndim - 1)), 0.0, shift)
 
 
 def _seen_by(
     effect: Effect, inverse: InverseProblem, followed: FollowedPoints, at: Equilibrium
 ) -> FloatArray:
-    """Return what an effect on the observation is given as points; see `Effect.sees`."""
+    """Return the input points of an effect on the observation; see `Effect.sees`."""
     moved = _moves(effect, inverse, followed, at.solution.displacement_mm)
     return followed.points + moved if effect.sees == "points" else moved
 
@@ -318,7 +318,7 @@ def _seen_by(
 def _moves(
     effect: Effect, inverse: InverseProblem, followed: FollowedPoints, u: FloatArray
 ) -> FloatArray:
-    """Return how motion `u` of the nodes moves what an effect sees, shape (k, 3)."""
+    """Return the change of an effect's input for motion `u` of the nodes, shape (k, 3)."""
     if effect.sees != "arms":
         return np.asarray(followed.at_points @ u)
     if inverse.arms is None:

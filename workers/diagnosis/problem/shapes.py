@@ -1,4 +1,4 @@
-"""The interfaces of a body as a few thousand triangles: enough for a page, no more.
+"""Interfaces of a body as a few thousand triangles, for display on a page.
 
 Vertices of the fine surface that share a cell of a cubic lattice become one, at their
 mean; triangles that lose a corner vanish (J. Rossignac and P. Borrel, Multi-resolution
@@ -27,7 +27,7 @@ class Shape(NamedTuple):
     vertices : ndarray, shape (n, 3)
         (x, y, z) in mm.
     triangles : ndarray of int32, shape (m, 3)
-        Counter-clockwise seen from outside of the tissue.
+        Counter-clockwise seen from outside the tissue.
     """
 
     vertices: FloatArray
@@ -35,7 +35,7 @@ class Shape(NamedTuple):
 
 
 def shapes(labels: Volume, interfaces: Sequence[Interface]) -> dict[str, NDArray[Any]]:
-    """Return ``shape_<interface>_vertices`` and ``_triangles`` of some interfaces."""
+    """Return ``shape_<interface>_vertices`` and ``_triangles`` for each interface."""
     arrays: dict[str, NDArray[Any]] = {}
     for interface in interfaces:
         drawn = shape(labels, interface.inside)
@@ -52,14 +52,14 @@ def shape(labels: Volume, inside: tuple[Tissue, ...], edge_mm: float = EDGE_MM) 
     labels : Volume
         `Tissue` labels.
     inside : tuple of Tissue
-        The tissues that the interface encloses.
+        The tissues inside the interface.
     edge_mm : float
-        About the length of an edge; > 0. Sheets thinner than it are closed to one.
+        Approximate edge length; > 0. Thinner layers collapse to a single sheet.
 
     Raises
     ------
     InputError
-        If the tissue is not there or fills the volume, or no triangle is left.
+        If the tissue is missing or fills the volume, or no triangle is left.
     """
     if not edge_mm > 0:
         raise InputError(f"Triangles need an edge > 0 mm, found {edge_mm}.")
@@ -77,7 +77,7 @@ def shape(labels: Volume, inside: tuple[Tissue, ...], edge_mm: float = EDGE_MM) 
     if not len(triangles):
         raise InputError(
             f"An interface smaller than {edge_mm:g} mm has no triangles of that size. "
-            "Ask for a shorter edge."
+            "Use a shorter edge."
         )
     return Shape(vertices, _turned(vertices, triangles, outwards))
 
@@ -88,7 +88,7 @@ def _means(cluster: NDArray[np.integer], values: FloatArray) -> FloatArray:
 
 
 def _turned(vertices: FloatArray, triangles: NDArray[np.integer], outwards: FloatArray) -> IntArray:
-    """Return triangles with their corners in such an order that their normals point outwards."""
+    """Return triangles with their corners ordered so that their normals point outwards."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     inward = (np.cross(b - a, c - a) * outwards[triangles].sum(axis=1)).sum(axis=1) < 0
     turned = triangles.astype(np.int32)

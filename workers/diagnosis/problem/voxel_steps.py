@@ -1,15 +1,14 @@
-r"""Voxels hide where a flat face along their layers lies, by one number for the whole face.
+r"""Common error of flat faces that are parallel to layers of voxels.
 
-A plate makes skin flat, and mostly along the layers of voxels. Labels then show that whole face at
-a border between two layers, up to half a voxel from where it is: the error of all its points is
-one number, uniform over a voxel of edge h. (On nine bodies of the plain blind world that lack
-nothing, in voxels of 0.8 mm, faces under the plates scattered by 0.26 mm, and their error was
-nearly a straight function of where they lay between two layers.) Noise of the points themselves
-never averages to as much.
+A plate flattens skin, mostly parallel to the layers of voxels. Labels then show the whole face at a
+border between two layers, up to half a voxel from its position: all its points share one error,
+uniform over a voxel of edge h. (On nine blind bodies without a missing effect, in voxels of 0.8 mm,
+faces under the plates scattered by 0.26 mm, with an error nearly linear in their position between
+two layers.) Independent noise of the points never averages to as much.
 
-A face that is turned by theta against the layers crosses them within the length l over which a
-segmentation errs alike, and its error averages out. So residuals of one interface in one scan that
-face the same way along an axis of the voxels have
+A face tilted by theta against the layers crosses them within the correlation length l of the
+segmentation, and its error averages out. Residuals of one interface in one scan that face the same
+way along an axis of the voxels therefore have
 
 .. math:: C_{ij} = \frac{h^2}{12} w_i w_j e^{-4 |x_i - x_j| / h}, \quad
     w = \exp \left( -\frac{1}{2} \left( \frac{\pi l \tan \theta}{h} \right)^2 \right)
@@ -29,13 +28,13 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 
 def voxel_steps(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
-    """Return columns whose outer product is that covariance, shape (m, q), in mm.
+    """Return columns whose outer product is the covariance of the module, shape (m, q), in mm.
 
     Parameters
     ----------
     inverse : InverseProblem
     predictions : sequence of ComparedScan
-        One for each scan: where its points are.
+        Predicted points of each scan.
     """
     k, columns = len(inverse.points), [np.zeros((len(inverse.bias), 0))]
     for number, (scan, at) in enumerate(zip(inverse.scans, predictions, strict=True)):
@@ -52,7 +51,7 @@ def voxel_steps(inverse: InverseProblem, predictions: Sequence[ComparedScan]) ->
 def _faces(
     inverse: InverseProblem, at: ComparedScan, voxel_mm: Triple
 ) -> Iterator[tuple[BoolArray, FloatArray]]:
-    """Yield points that face one way along an axis of the voxels, and their covariance."""
+    """Yield masks of points facing one way along a voxel axis, with their covariance."""
     along = at.normals / np.maximum(np.linalg.norm(at.normals, axis=1), 1e-9)[:, None]
     for axis, h in enumerate(voxel_mm):
         cosine = np.clip(along[:, axis], -1.0, 1.0)

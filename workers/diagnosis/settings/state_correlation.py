@@ -1,7 +1,7 @@
-"""How alike what a model lacks is in two states of a body.
+"""Correlation of model errors between two states of a body.
 
-Plates that press along another direction touch other parts of the surface and bend other parts of
-the body: what a mesh or a missing cause does there is another displacement.
+Plates that press along another direction touch and bend other parts of the body, where a mesh error
+or a missing cause produces a different displacement.
 """
 
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ class StateCorrelation:
     Parameters
     ----------
     along : float
-        Of two loads along one direction, 0 to 1.
+        For two loads along the same direction, 0 to 1.
     across : float
-        Of two loads along directions at right angles; no more than `along`.
+        For two loads at right angles; no more than `along`.
 
     Raises
     ------
@@ -42,13 +42,13 @@ class StateCorrelation:
     def between(self, directions: FloatArray) -> FloatArray:
         """Return the correlation of all pairs of states, shape (s, s), ones on the diagonal.
 
-        Between parallel and perpendicular it goes with the squared cosine, which keeps the matrix
+        Between parallel and perpendicular it varies with the squared cosine, which keeps the matrix
         positive semi-definite.
 
         Parameters
         ----------
         directions : ndarray, shape (s, 3)
-            Unit vectors along which each state is loaded.
+            Unit vectors of the load direction of each state.
         """
         squares = (directions @ directions.T) ** 2
         found = self.across + (self.along - self.across) * squares

@@ -1,1 +1,1 @@
-"""A breast between two plates: its problem for the solver, and imaged cases of it."""
+"""A breast between two plates: its forward problem and its imaged cases."""

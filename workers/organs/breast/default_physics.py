@@ -24,6 +24,6 @@ FIBRE_DIRECTION: Triple = WALL_TO_NIPPLE.axis
 SKIN: Skin = "none"
 SKIN_THICKNESS_MM = 1.5
 NU: float = BREAST.complete()["nu"]
-# Along the chest wall the body slides; away from it nothing moves.
+# The body slides along the chest wall and cannot move away from it.
 WALL_HELD = False
 WALL_SPRING_KPA_PER_MM = 0.0

@@ -1,4 +1,4 @@
-"""The effects that are suspected when a simulated breast differs from an imaged one."""
+"""Catalogue of effects that may explain a gap between a simulated and an imaged breast."""
 
 from dataclasses import replace
 
@@ -35,10 +35,10 @@ from palpate.workers.mechanics.effects.plugged import plugged_effects
 from palpate.workers.mechanics.parameters import BREAST
 from palpate.workers.organs.nuisances import NuisanceEffect
 
-# Under a force, free stiffnesses take up a wrong one: only ratios of both can be measured.
+# Under a force, free stiffnesses compensate for a wrong one: only their ratio can be measured.
 CONFOUNDED_FORCE = replace(PLATE_FORCE, is_confounded=True)
 
-# Creep scales what the others have made, so it comes last among the materials.
+# Creep scales the result of the other effects, so it comes last among the materials.
 BREAST_EFFECTS: tuple[Effect, ...] = (
     GRAVITY_CHANGE,
     PRESTRESS,
@@ -115,7 +115,7 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
 )
 
 
-# Nuisance parameters of a study: an interval allows for what it does not search.
+# Nuisance parameters of a study: its intervals allow for parameters that it does not search.
 LAW, VARIATION = "the law of the tissue", "the evenness of the stiffness"
 NUISANCES: tuple[NuisanceEffect, ...] = (
     NuisanceEffect(COMPRESSIBILITY, LAW),
@@ -127,9 +127,9 @@ NUISANCES: tuple[NuisanceEffect, ...] = (
     # differentiated by a step of its own size, a fiftieth of this interval.
     NuisanceEffect(FRICTION, "the friction of the plates", sd=0.3, interval=(0.0, 15.0)),
     NuisanceEffect(RIGID_MOTION, "the place of the scan", of="image"),
-    # Of each side of a scan: a wrong voxel size is off by per cents, distortion by less.
+    # For each side of a scan: a wrong voxel size is off by several per cent, distortion by less.
     NuisanceEffect(IMAGE_SCALE, "the scale of the scan", sd=0.015, of="image"),
-    # Of a force that a device shows: four in five are right within a tenth.
+    # For the force shown by a device: four in five are right within a tenth.
     NuisanceEffect(
         CONFOUNDED_FORCE, "the force", sd=0.08, interval=(-1.0, 1.0), of="force", always=True
     ),
@@ -137,5 +137,5 @@ NUISANCES: tuple[NuisanceEffect, ...] = (
 
 CATALOGUE = Catalogue((*BREAST_EFFECTS, *plugged_effects("breast")), NOT_SIMULATED)
 
-# The whole forward model: a study may hold or search any of it.
+# All parameters of the forward model: a study may hold or search any of them.
 BREAST_MODEL = BREAST.extended_by(p for e in CATALOGUE.on_body for p in e.parameters)

@@ -1,9 +1,9 @@
 """Signed distances between the interfaces of a simulated breast and its image, and tangents.
 
-The residuals are those of a diagnosis: points on the outline and on the gland of the body at
-rest, moved by the model, compared with the same interface of the target. What the voxels and
-the smoothing of an interface add is taken off: the distance of the same points from the
-interface in the model's own voxel image, which is made as that of the target is.
+The residuals are the same as in a diagnosis: points on the outline and on the gland of the body at
+rest, moved by the model and compared with the same interface of the target. The error due to voxels
+and smoothing of an interface is subtracted: the distance of the same points from the interface in
+the model's own voxel image, which is made in the same way as the target.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -44,47 +44,47 @@ from palpate.workers.organs.breast.study_noise import NUGGET_VOXELS, study_noise
 from palpate.workers.organs.normal_equations import normal_equations
 from palpate.workers.organs.organ import Residuals, logarithmic
 
-# Between neighbouring points: a breast of 445 ml then has some 2,000.
+# Distance of neighbouring points: a breast of 445 ml then has some 2,000.
 SPACING_MM = 4.0
-# Difference of a parameter for its derivative: of a logarithm, or over the searched interval.
+# Difference of a parameter for its derivative: of its logarithm, or relative to the interval.
 STEP = 1e-4
-# Interfaces are looked at in voxels of this size at least: an interface in a tenth of the voxels
-# of 0.2 mm is still smooth below a tenth of a millimetre, and found 30 times faster.
+# Minimum voxel size for interfaces: with a tenth of the voxels of 0.2 mm an interface is still
+# smooth below a tenth of a millimetre, and found 30 times faster.
 FINEST_MM = 0.5
-# Farther from its own interface no point counts; strands that merge lie there.
+# Points farther from their own interface do not count, such as those on merging strands.
 OWN_BAND_MM = 4.0
-# What voxels leave of an interface that the model has moved, in voxels: points of ten bodies of
-# 1 mm voxels scatter by 0.13 mm to 0.23 mm, by the median.
+# Voxel error of an interface that the model has moved, in voxels: points of ten bodies of 1 mm
+# voxels scatter by 0.13 mm to 0.23 mm, by the median.
 MOVED_VOXELS = 0.14
-# Standard deviation of the place of a plane that lies anywhere within a voxel: 1 / sqrt(12).
+# Standard deviation of the position of a plane anywhere within a voxel: 1 / sqrt(12).
 PLATE_VOXELS = 0.29
-# The same of an effect that follows the path: friction is steepest at zero and then saturates.
+# Difference for a path-dependent effect: friction is steepest at zero and then saturates.
 PATH_STEP = 0.02
 # Parameters of effects on the observation, which move points and change no problem.
 OBSERVED = {name: e for e in CATALOGUE.on_observation for name in e.names}
-# Parameters of effects that depend on the path of the load, of which tangents know the last step.
+# Parameters of path-dependent effects, for which tangents only cover the last load step.
 STEPPED = {name for e in CATALOGUE.effects if e.follows_path for name in e.names}
 
 
 @dataclass(frozen=True, eq=False)
 class BreastObservation:
-    """What residuals need of body and target.
+    """Data of body and target for computing residuals.
 
     Parameters
     ----------
     points : InterfacePoints
-        On the interfaces at rest, k of them.
+        The k points on the interfaces at rest.
     at_points : csr_matrix, shape (k, n)
-        From displacements of the nodes to those of the points.
+        Interpolates displacements of the nodes to the points.
     compare : callable
-        From moved points to signed distances, (k,) in mm, and their derivatives, (k, 3).
+        Returns signed distances of moved points, (k,) in mm, and their derivatives, (k, 3).
     own_image : callable
-        From displacements of the nodes to signed distances of the moved points from the
-        interfaces of the body's own voxel image.
+        Returns signed distances of the moved points from the interfaces of the body's own voxel
+        image, for displacements of the nodes.
     whiten : callable
-        From values at the points, (k,) or (k, c), to the same in units of their noise.
+        Converts values at the points, (k,) or (k, c), to units of their noise.
     faces_mm : tuple of float
-        Least and largest y of the target, and its voxel.
+        Smallest and largest y of the target, and its voxel size.
     robust : bool
         Whether large residuals count less.
     noise : str
@@ -103,7 +103,7 @@ class BreastObservation:
 
 @dataclass(frozen=True, eq=False)
 class FittedBreast:
-    """See `workers.organs.organ.Fitted`."""
+    """Solution and residuals of a breast; see `workers.organs.organ.Fitted`."""
 
     solution: Solution
     residuals: Residuals | None
@@ -115,7 +115,7 @@ ProblemOf = Callable[[Mapping[str, float]], Problem]
 def observe_target(
     body: Volume, mesh: Hierarchy, target: Volume, imaged: bool
 ) -> BreastObservation:
-    """Put points on the interfaces of a body and find the same interfaces in its target.
+    """Place points on the interfaces of a body and find the same interfaces in its target.
 
     Raises
     ------
@@ -194,7 +194,7 @@ def _observed(
     observation: BreastObservation,
     model: Model,
 ) -> FloatArray:
-    """Return the derivative of the residuals by a parameter of the observation."""
+    """Return the derivatives of the residuals by a parameter of the observation."""
     effect: Effect = OBSERVED[name]
     if effect.observation is None:
         raise AssertionError(f"{effect.name} changes the problem, not the observation")
@@ -204,10 +204,10 @@ def _observed(
 
 
 def _plates(observation: BreastObservation, moved: FloatArray, normals: FloatArray) -> FloatArray:
-    """Return a voxel in mm for points on the flat faces under the plates, shape (k, 2); else 0.
+    """Return the voxel size in mm for points on the flat faces under the plates, (k, 2); else 0.
 
-    Plates that lie along a plane of voxels put a whole face half a voxel too far in or out. The
-    change to the rest of the outline is smooth, so that residuals are.
+    Plates parallel to a plane of voxels shift a whole face by up to half a voxel. The transition to
+    the rest of the outline is smooth, so the residuals are smooth too.
     """
     low, high, voxel = observation.faces_mm
     faces = []
@@ -227,7 +227,7 @@ def _compare(observation: BreastObservation, at: Equilibrium) -> tuple[FloatArra
 def _change(
     at: Equilibrium, problem_of: ProblemOf, constants: Mapping[str, float], p: FreeParameter
 ) -> Change:
-    """Return the problems on either side; at the end of what is admissible, on one side."""
+    """Return the problems on either side of a value, or on one side at an admissible bound."""
     ahead, behind, step = _either_side(constants[p["name"]], p)
     plus = problem_of({**constants, p["name"]: ahead})
     if behind == constants[p["name"]]:
@@ -239,7 +239,7 @@ def _either_side(value: float, p: FreeParameter) -> tuple[float, float, float]:
     if logarithmic(p):
         return value * float(np.exp(STEP)), value * float(np.exp(-STEP)), 2 * STEP
     h = STEP * (p["upper"] - p["lower"])
-    # A parameter that begins at zero may not be negative.
+    # A parameter with a lower bound of zero must not be negative.
     if p["lower"] == 0 and value < h:
         return value + h, value, h
     return value + h, value - h, 2 * h
@@ -253,7 +253,7 @@ def _by_solving(
     p: FreeParameter,
     observation: BreastObservation,
 ) -> FloatArray:
-    """Return the derivative by a parameter that changes the path of the load."""
+    """Return the derivative by a path-dependent parameter."""
     h = PATH_STEP * (p["upper"] - p["lower"])
     value = constants[p["name"]]
     ahead = equilibrium(model, problem_of({**constants, p["name"]: value + h}), at)
@@ -266,7 +266,7 @@ def _by_solving(
 
 
 def _shared(rest: Volume, loaded: Volume) -> list[Interface]:
-    """Return the interfaces that both volumes show."""
+    """Return the interfaces present in both volumes."""
     has_gland = all(bool((v.values == Tissue.GLANDULAR).any()) for v in (rest, loaded))
     return [OUTLINE, GLANDULAR] if has_gland else [OUTLINE]
 
@@ -274,11 +274,10 @@ def _shared(rest: Volume, loaded: Volume) -> list[Interface]:
 def _whitening(
     points: InterfacePoints, noise: SegmentationNoise, imaged: bool
 ) -> Callable[[FloatArray], FloatArray]:
-    """Return what divides values at the points by their noise.
+    """Return a function that whitens values at the points.
 
-    What voxels leave of an interface is independent from point to point. Of drawn images the
-    covariance counts, with what segmentations err by in common; see
-    `workers.diagnosis.problem.noise_parts`.
+    The voxel error of an interface is independent between points. For images the covariance of the
+    segmentation is used, including common errors; see `workers.diagnosis.problem.noise_parts`.
     """
     if not imaged:
         sd = float(np.hypot(MOVED_VOXELS * noise.nugget_mm / NUGGET_VOXELS, noise.nugget_mm))

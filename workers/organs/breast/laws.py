@@ -1,4 +1,4 @@
-"""The laws of a breast's tissues, by name, and their shape constants."""
+"""Laws of a breast's tissues, by name, and their shape constants."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -26,7 +26,7 @@ NO_STIFFENING = (
 
 
 class TissueLaws(Door):
-    """The law of each tissue, without its fibres; ligaments and muscle follow that of fat.
+    """The law of each tissue, without its fibres; ligaments and muscle use the law of fat.
 
     Parameters
     ----------
@@ -80,9 +80,9 @@ class TissueLaws(Door):
         tissue : str
             One of `LAW_TISSUES`.
         own : Constants
-            Of a neo-Hookean tissue.
+            Constants of a neo-Hookean tissue.
         values : mapping of str to float
-            Shape constants by their names inside; neutral where it names none.
+            Shape constants by their internal names; neutral if missing.
         """
         name = self.by_tissue[tissue]
         if name == DEFAULT_LAW:
@@ -96,11 +96,11 @@ class TissueLaws(Door):
 
     @property
     def not_simulated(self) -> tuple[tuple[str, str], ...] | None:
-        """Causes that no effect stands for, with reasons; None if they are the catalogue's."""
+        """Causes without an effect, with reasons; None if they are the catalogue's."""
         return None if self.can_stiffen else (*CATALOGUE.not_simulated, NO_STIFFENING)
 
     def reason_against(self, name: str) -> str:
-        """Return why a parameter cannot be used with these laws, or ""."""
+        """Return the reason against using a parameter with these laws, or ""."""
         in_law = {n for e in CATALOGUE.effects if e.is_in_law for n in e.names}
         if name in in_law and not self.can_stiffen:
             return NO_STIFFENING[1]
@@ -111,7 +111,7 @@ class TissueLaws(Door):
 
 
 def for_all_tissues(given: Any) -> Any:
-    """Let the name of one law stand for all tissues.
+    """Apply the name of a single law to all tissues.
 
     Raises
     ------
@@ -129,7 +129,7 @@ Laws = Annotated[
 
 
 def shape_constants(names: Iterable[str]) -> Vocabulary:
-    """Return all shape constants of the laws with which these names begin.
+    """Return all shape constants of the laws named at the start of these constants.
 
     Raises
     ------

@@ -62,7 +62,7 @@ OUTLINE = "outline"
 
 
 class Breast:
-    """See `workers.organs.organ.Organ`; a body is a `Volume` of `Tissue` labels."""
+    """The breast as an `Organ`, whose bodies are volumes of `Tissue` labels."""
 
     name = "breast"
     picture_labels: Mapping[int, str] = {int(t): t.name.lower() for t in Tissue if t}
@@ -103,8 +103,8 @@ class Breast:
         image = _image_of(spec)
         if image.spacing_mm is not None or image.axes is not None:
             raise InputError(
-                f"{image.volume} is a volume of the store, which has its spacing and axes: take "
-                "spacing_mm and axes out, or give the file."
+                f"{image.volume} is a volume of the store, which has its spacing and axes: remove "
+                "spacing_mm and axes, or give the file."
             )
         if image.labels is None:
             default_map(body)
@@ -184,7 +184,7 @@ class Breast:
         return prepare(mesh)
 
     def landmarks(self, body: Volume, case: BreastCase) -> Extent:
-        """Return where the body begins and ends along the axis of compression, in mm."""
+        """Return the extent of the body along the axis of compression, in mm."""
         return extent_of(body, case.load.oblique_deg)
 
     def problem(
@@ -245,11 +245,11 @@ class Breast:
         return warp_with_skin(body, mesh.finest.mesh, displacement_mm, target)
 
     def scorer(self, target: Volume, spec: BreastScore) -> Scorer:
-        """See `Organ.scorer`; candidates lie on the lattice of the target, see `on_lattice`."""
+        """See `Organ.scorer`; candidates are on the lattice of the target, see `on_lattice`."""
         return Scorer(target, labels=spec.tissues, surface=spec.surface)
 
     def pressed(self, case: BreastCase) -> Pressed:
-        """Return how the plates press; see `PressedOrgan.pressed`."""
+        """Return the compression by the plates; see `PressedOrgan.pressed`."""
         return pressed_by(case.load)
 
     def picture(self, body: Volume) -> Volume:
@@ -272,14 +272,14 @@ def read_image(spec: ImageSpec) -> Volume:
     Raises
     ------
     InputError
-        If it cannot be read or its labels have no meaning.
+        If the image cannot be read or its labels have no known meaning.
     """
     path = Path(str(spec.volume))
     return read_tissues(path, spec.labels, spacing_mm=spec.spacing_mm, axes=spec.axes).volume
 
 
 def as_tissues(volume: Volume, spec: ImageSpec) -> Volume:
-    """Return a volume of the store as other tissues, cropped to the body."""
+    """Return a stored volume with its labels as tissues, cropped to the body."""
     image = LabelImage(volume, {}, str(spec.volume), anatomical=False)
     return crop_to_body(relabel(volume, label_tissues(image, spec.labels)))
 
@@ -287,7 +287,7 @@ def as_tissues(volume: Volume, spec: ImageSpec) -> Volume:
 def score_by_tissue(
     target: Volume, candidate: Volume, surface: Surface = "boundary"
 ) -> dict[str, Scores]:
-    """Return the score of each tissue of the target on its own, by name, and of `OUTLINE`."""
+    """Return the score of each tissue of the target by name, and of `OUTLINE`."""
     body = on_lattice(candidate, target)
     solid = [Tissue(label) for label in label_counts(target) if label != Tissue.AIR]
     alone = score_labels(target, body, solid, surface)
@@ -301,7 +301,7 @@ def score_by_tissue(
 def on_lattice(volume: Volume, lattice: Volume) -> Volume:
     """Return `volume` on the voxels of `lattice`: itself, or its nearest-neighbour image.
 
-    The box is that of `volume`, not that of `lattice`: nothing is cut off.
+    The result covers the box of `volume`, so nothing is cut off.
     """
     if volume.on_lattice_of(lattice):
         return volume

@@ -1,4 +1,4 @@
-"""What a study may state of a breast, and what is uncertain of it: scan, load and law."""
+"""Specification of a breast study, with its nuisance parameters: scan, load and law."""
 
 from palpate.workers.organs.breast.effects import BREAST_MODEL, NUISANCES
 from palpate.workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget
@@ -7,7 +7,7 @@ from palpate.workers.organs.organ_spec import OrganSpec
 
 
 def nuisances(case: BreastCase, imaged: bool) -> tuple[Nuisance, ...]:
-    """Return the nuisance parameters of a case that its laws do not replace; see `OrganSpec`."""
+    """Return the nuisance parameters of a case not replaced by its laws; see `OrganSpec`."""
     present = {"model"}
     if imaged:
         present |= {"image"} if case.load.force_n is None else {"image", "force"}

@@ -1,4 +1,4 @@
-"""The physics of a breast in words, alike for a study and for a diagnosis."""
+"""Descriptions of the physics of a breast, for studies and diagnoses."""
 
 from palpate.storage.values import Triple
 
@@ -6,7 +6,7 @@ from palpate.storage.values import Triple
 def law_text(
     fibres: str, fibre_invariant: str, direction: Triple, matrix: str = "neo-Hookean"
 ) -> str:
-    """Return the law of tissue with fibres.
+    """Describe the law of tissue with fibres.
 
     Examples
     --------
@@ -20,7 +20,7 @@ def law_text(
 
 
 def wall_text(held: bool, kx_kpa_per_mm: float, ky_kpa_per_mm: float) -> str:
-    """Return what holds the body at the chest wall.
+    """Describe the support of the body at the chest wall.
 
     Examples
     --------

@@ -1,9 +1,8 @@
-"""The breast: its materials, the constants that they take, and how two plates press it.
+"""Forward problem of a breast: its materials, their constants, and compression by two plates.
 
-Ligaments behave as fat (thesis section 4.5); muscle does too, unless its own
-constants are stated; its law is always that of fat. Skin is fat (``none``), fat under a membrane
-(``membrane``), or a tissue of its own in the mesh (``layer``). Fibres run from
-chest wall to nipple, along z.
+Ligaments behave as fat (thesis section 4.5); so does muscle, unless its own constants are stated,
+and it always uses the law of fat. Skin is fat (``none``), fat under a membrane (``membrane``), or a
+separate tissue in the mesh (``layer``). Fibres run from chest wall to nipple, along z.
 """
 
 from collections.abc import Mapping
@@ -27,18 +26,17 @@ from palpate.workers.organs.breast.effects import BREAST_MODEL, CATALOGUE
 from palpate.workers.organs.breast.spec import LoadSpec, ModelSpec
 
 Extent = tuple[float, float]
-"""From here to there along the axis of compression, in mm."""
+"""Start and end along the axis of compression, in mm."""
 
 UNIT_FRAME = Frame()
 _EFFECT_NAMES = tuple(name for name in BREAST_MODEL.names if name not in BREAST)
 
 
 def materials_of(labels: Volume, model: ModelSpec) -> Volume:
-    """Labels in which tissues that behave alike are one, to be meshed.
+    """Return labels for meshing, in which tissues of the same material are merged.
 
-    An element takes the tissue of most of its five points. Fat, ligament and skin
-    that is no layer are one material; as three tissues they would lose votes that
-    they win together.
+    An element takes the tissue of most of its five points. Fat, ligament and skin without a layer
+    are one material; as three tissues they would lose votes that they win together.
     """
     alike = np.arange(256, dtype=np.uint8)
     alike[Tissue.LIGAMENT] = Tissue.FAT
@@ -55,20 +53,20 @@ def problem_of(
     target: Extent | None = None,
     frame: Frame = UNIT_FRAME,
 ) -> Problem:
-    """Return the problem that the solver gets.
+    """Return the problem for the solver.
 
     Parameters
     ----------
     model, load : ModelSpec and LoadSpec
     constants : mapping of str to float
-        Every parameter of `workers.mechanics.parameters.BREAST`, inside names and units, the
-        shape constants of the laws, and those of the effects that the model has.
+        Every parameter of `workers.mechanics.parameters.BREAST`, in internal names and units, the
+        shape constants of the laws, and the parameters of the model's effects.
     body : tuple of float
-        Where the undeformed body begins and ends along the axis of compression, in mm.
+        Extent of the undeformed body along the axis of compression, in mm.
     target : tuple of float, optional
-        The same of an imaged target; see `plates_of`.
+        Extent of an imaged target; see `plates_of`.
     frame : Frame
-        Of the undeformed body.
+        Frame of the undeformed body.
     """
 
     def tissue(name: str, law_of: str) -> Constants:
@@ -99,11 +97,11 @@ def problem_of(
 def plates_of(
     load: LoadSpec, body: Extent, target: Extent | None = None, frame: Frame = UNIT_FRAME
 ) -> Load:
-    """Where the plates stand.
+    """Return the load with the positions of the plates.
 
-    Under a force they start at the ends of the undeformed body. At a distance
-    they end centred on the imaged target when there is one, because that is where
-    the device held it, and else centred on the undeformed body.
+    Under a force the plates start at the ends of the undeformed body. At a distance they end
+    centred on the imaged target, if there is one, because the device held it there, or else centred
+    on the undeformed body.
     """
     device = Device(
         axis=compression_axis(load.oblique_deg),
@@ -118,27 +116,27 @@ def plates_of(
     if distance.lower is not None and distance.upper is not None:
         return DistanceControl(distance.lower, distance.upper, device)
     if distance.final is None:
-        raise AssertionError("plates end at a distance or at two positions")
+        raise AssertionError("plates need a final distance or two final positions")
     centre = sum(body if target is None else target) / 2
     return DistanceControl(centre - distance.final / 2, centre + distance.final / 2, device)
 
 
 def compression_axis(oblique_deg: float) -> Triple:
-    """From the lower to the upper plate."""
+    """Return the unit vector from the lower to the upper plate."""
     angle = np.radians(oblique_deg)
     return -float(np.sin(angle)), float(np.cos(angle)), 0.0
 
 
 def pressed_by(load: LoadSpec) -> Pressed:
-    """How the plates of a load press a body."""
+    """Return the direction and force of a compression."""
     return Pressed(compression_axis(load.oblique_deg), load.force_n)
 
 
 def extent_of(volume: Volume, oblique_deg: float = 0.0) -> Extent:
-    """Where the body begins and ends along the axis of compression, in mm.
+    """Return the extent of the body along the axis of compression, in mm.
 
-    Along y these are the outer faces of its outermost voxels, along an oblique axis
-    the same of its voxels' projections.
+    Along y it ends at the outer faces of the outermost voxels, along an oblique axis at the ends of
+    the voxels' projections.
 
     Raises
     ------
@@ -156,7 +154,7 @@ def extent_of(volume: Volume, oblique_deg: float = 0.0) -> Extent:
 
 
 def check_skin_layer(labels: Volume, element_size_mm: float) -> None:
-    """Refuse to model skin by elements that cannot resolve it.
+    """Check that the elements can resolve a layer of skin.
 
     Raises
     ------

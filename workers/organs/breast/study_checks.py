@@ -1,4 +1,4 @@
-"""Plausibility checks of a breast study: what its file and its scans say to `checks`."""
+"""Plausibility checks of the file and the scans of a breast study."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -27,12 +27,12 @@ from palpate.workers.organs.study_checks import Finding
 
 @dataclass(frozen=True)
 class BreastChecks:
-    """See `workers.organs.study_checks.StudyChecks`.
+    """Checks of a breast study; see `workers.organs.study_checks.StudyChecks`.
 
     Parameters
     ----------
     searched : mapping of str to (float, float)
-        Searched intervals, inside names and units.
+        Searched intervals, in internal names and units.
     """
 
     searched: Mapping[str, Bounds] = field(default_factory=dict)
@@ -42,7 +42,7 @@ class BreastChecks:
         return type(self)(searched)
 
     def of_case(self, case: BreastCase) -> Iterator[Finding]:
-        """Check that a phantom can have so few nodes."""
+        """Check that a phantom can be meshed with the stated number of nodes."""
         phantom = case.reference.phantom
         if phantom is None or case.mesh.nodes is None:
             return
@@ -62,7 +62,7 @@ class BreastChecks:
             yield from _missing(score, _tissues_of(phantom), "The phantom")
 
     def of_body(self, body: Volume, name: str) -> Iterator[Finding]:
-        """Check one body on its own; only a study or a diagnosis refuses pieces and gaps."""
+        """Check a single body, with warnings for pieces and gaps."""
         scan = Scan(name, None, compression_axis(0.0), body)
         yield from check_volume_range(scan)
         for check in (check_empty_slices, check_pieces):
@@ -116,7 +116,7 @@ class BreastChecks:
         return self.searched.get(name, (value, value))
 
     def _has_effects(self, case: BreastCase) -> bool:
-        """Return whether the model has an effect, which may move or tilt the body."""
+        """Check whether the model has an effect, which may move or tilt the body."""
         values = case.complete()
         neutral = BREAST_MODEL.complete({}, {})
         named = [name for name in BREAST_MODEL.names if name not in BREAST]

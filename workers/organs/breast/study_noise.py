@@ -1,24 +1,24 @@
-"""Default noise of the interfaces of label volumes, for studies and diagnoses alike."""
+"""Default noise of the interfaces of label volumes, for studies and diagnoses."""
 
 from palpate.storage.values import Volume
 from palpate.workers.comparison.observation.noise import SegmentationNoise
 
-# Error of an image that somebody has drawn: half a voxel, since labels place a boundary no better,
-# and alike over 4 mm, an assumption. A second segmentation of the scan at rest measures both.
+# Error of a segmented image: half a voxel, the accuracy of labels at a boundary, correlated over
+# 4 mm, an assumption. A second segmentation of the scan at rest measures both.
 DRAWN_VOXELS, DRAWN_LENGTH_MM = 0.5, 4.0
-# The same of labels that the model has moved: their voxels, and what its mesh cuts off the
-# body's rim (0.07 mm of a body of 1 mm voxels and 1,500 nodes).
+# The same for labels moved by the model: their voxels, and the rim of the body outside the mesh
+# (0.07 mm for a body of 1 mm voxels and 1,500 nodes).
 MOVED_VOXELS, MOVED_LENGTH_VOXELS = 0.25, 2.0
 NUGGET_VOXELS = 0.08
 
 
 def study_noise(reference: Volume, *loaded: Volume, imaged: bool) -> SegmentationNoise:
-    """Return half a voxel over 4 mm for images, else what voxels leave of an interface.
+    """Return half a voxel over 4 mm for images, or else the voxel error of an interface.
 
     Parameters
     ----------
     imaged : bool
-        Whether the loaded scans are images; else the model has made them.
+        Whether the loaded scans are images rather than simulated by the model.
     """
     voxel = max(side for scan in (reference, *loaded) for side in scan.spacing_mm)
     nugget = NUGGET_VOXELS * voxel

@@ -1,8 +1,8 @@
-"""A study, a search for constants, as the source of a diagnosis.
+"""A study as the source of a diagnosis.
 
-The model is that of the study. Parameters that were searched are the unknown constants,
-their intervals the plausible ones; a parameter that may be zero or negative has no
-logarithm and is held where the search has ended.
+The diagnosis uses the model of the study. The searched parameters are its unknown constants, with
+the searched intervals as the plausible ones; a parameter that may be zero or negative has no
+logarithm and is held at the value found by the search.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -51,29 +51,29 @@ from palpate.workers.spec import validated
 
 # Names of both volumes in the content of a study.
 REFERENCE, TARGET = "reference", "target"
-# A stiffness or a shape constant that was searched from zero is plausible from this part of its
-# upper end.
+# Lower end of the plausible interval of a stiffness or a shape constant that was searched from
+# zero, relative to its upper end.
 LEAST_PART = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class StudyPieces:
-    """What a study says and has in its store.
+    """Statements and stored volumes of a study.
 
     Parameters
     ----------
     name : str
     case : BreastCase
     bounds : mapping of str to (float, float)
-        Searched intervals, inside names and units.
+        Searched intervals, in internal names and units.
     best : mapping of str to float
         The searched parameters of the best candidate; empty if there is none.
     reference, target : Volume
         `Tissue` labels at rest and under the load.
     target_mesh : MeshSpec or None
-        Of a target that was simulated; None for an image.
+        Mesh of a simulated target; None for an image.
     caveats : tuple of str
-        Statements with which every result of the study begins.
+        Statements shown first in every result of the study.
     align : {"rigid"} or None
         How the target was brought into the frame of the reference.
     """
@@ -90,14 +90,14 @@ class StudyPieces:
 
 
 class StudySource:
-    """See `workers.diagnosis.outcome.source.Source`.
+    """A breast study as a `workers.diagnosis.outcome.source.Source`.
 
     Parameters
     ----------
     pieces : StudyPieces
     noise : SegmentationNoise, optional
-        Of both segmentations. Default: half a voxel over 4 mm for images, and what voxels
-        leave of an interface for a simulated target.
+        Noise of both segmentations. Default: half a voxel over 4 mm for images, and the voxel error
+        of an interface for a simulated target.
     """
 
     kind = "breast study"
@@ -108,12 +108,12 @@ class StudySource:
 
     @classmethod
     def from_study(cls, study: FinishedStudy) -> "StudySource":
-        """Return a study that has run as the source of a diagnosis.
+        """Return a finished study as the source of a diagnosis.
 
         Raises
         ------
         InputError
-            If its case or target makes no sense.
+            If its case or target is invalid.
         """
         case = validated(BreastCase, study.case, "The study's case")
         target = validated(BreastTarget, study.target, "The study's target")
@@ -132,7 +132,7 @@ class StudySource:
 
     @classmethod
     def from_content(cls, content: SourceContent) -> "StudySource":
-        """Make it again from what the store holds."""
+        """Recreate the source from the content in the store."""
         record, volumes = content.record, content.volumes
         mesh = record["target_mesh"]
         return cls(
@@ -153,7 +153,7 @@ class StudySource:
         """Case, intervals and best candidate of the study, and both volumes."""
         pieces, mesh = self.pieces, self.pieces.target_mesh
         case = pieces.case.model_dump(mode="json")
-        # The body is among the volumes; where it came from does not matter any more.
+        # The body is among the volumes; its origin does not matter any more.
         case["reference"] = {"volume": REFERENCE}
         record = {
             "name": pieces.name,
@@ -168,12 +168,12 @@ class StudySource:
 
     @property
     def name(self) -> str:
-        """The study's."""
+        """The name of the study."""
         return self.pieces.name
 
     @property
     def scans(self) -> Sequence[str]:
-        """The one load."""
+        """The name of the single load."""
         load = self.pieces.case.load
         if load.force_n is not None:
             return [f"{load.force_n:g} N"]
@@ -183,17 +183,17 @@ class StudySource:
 
     @property
     def pressed(self) -> Mapping[str, Pressed]:
-        """How the plates press it under the one load."""
+        """Compression by the plates under the single load."""
         return dict.fromkeys(self.scans, pressed_by(self.pieces.case.load))
 
     @property
     def segmentation_noise(self) -> SegmentationNoise:
-        """What its segmentations err by."""
+        """Errors of its segmentations."""
         return self.noise
 
     @property
     def effects(self) -> Sequence[Effect]:
-        """What may be missing from the model of a breast, less what was searched."""
+        """The catalogue of the breast without the searched effects."""
         free = {f.name for f in self.free}
         return [e for e in self.pieces.case.model.law.suspects if not e.is_searched(free)]
 
@@ -211,11 +211,11 @@ class StudySource:
         return {f.name: self.pieces.best[f.name] for f in self.free if f.name in self.pieces.best}
 
     def check(self) -> None:
-        """Refuse a study that left nothing to fit."""
+        """Check that the study has searched a positive constant."""
         if not self.free:
             raise InputError(
                 f"The study {self.name} has searched {', '.join(self.pieces.bounds) or 'nothing'}; "
-                "a diagnosis needs a constant that is positive, such as E_fat_kpa, under "
+                "a diagnosis needs a positive constant, such as E_fat_kpa, under "
                 "search.parameters."
             )
 
@@ -230,27 +230,27 @@ class StudySource:
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """Those of the study."""
+        """The caveats of the study."""
         return self.pieces.caveats
 
     @property
     def preparations(self) -> Sequence[str]:
-        """Points, body and target."""
+        """Names of the preparations for points, body and target."""
         return preparations_of(1)
 
     def prepare(self, name: str, spacing_mm: float) -> Prepared:
-        """Make one of them."""
+        """Make one preparation."""
         return prepare_scan(self.acquisition, name, spacing_mm, [self.pieces.target])
 
     def inverse_problem(
         self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
     ) -> InverseProblem:
-        """Mesh the body, put points on its interfaces and compare them with the target."""
+        """Mesh the body, place points on its interfaces and compare them with the target."""
         target = [self.pieces.target]
         return inverse_problem_of(self.acquisition, nodes, spacing_mm, target, prepared)
 
     def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> Model:
-        """Return a mesh of the same body: that of the study where the target shares it."""
+        """Return another mesh of the body, or the study's mesh if the target shares it."""
         return finer_model(self.acquisition, nodes, prepared)
 
     def describe(
@@ -261,7 +261,7 @@ class StudySource:
         prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
-        """Draw bodies, maps and overlaps."""
+        """Return the pictures of bodies, maps and overlaps, and the summary with their rows."""
         pieces = self.pieces
         return pictures_of_scans(
             diagnosis,
@@ -276,7 +276,7 @@ class StudySource:
 
     @property
     def acquisition(self) -> Acquisition:
-        """What was known before the target was scanned."""
+        """The acquisition before the target was scanned."""
         return Acquisition(
             name=self.name,
             reference=self.pieces.reference,
@@ -290,7 +290,7 @@ class StudySource:
         )
 
     def problem(self, number: int, frame: Frame) -> ProblemBuilder:
-        """Return the study's model under its load, from the values of the free constants."""
+        """Return a builder of the study's problem from values of the free constants."""
         case, imaged = self.pieces.case, self.pieces.target_mesh is None
         oblique = case.load.oblique_deg
         body = extent_of(self.pieces.reference, oblique)
@@ -305,18 +305,18 @@ class StudySource:
 
     @property
     def _shares_mesh(self) -> bool:
-        """Whether the candidates' own mesh has made the target."""
+        """Whether the target was simulated on the mesh of the candidates."""
         return self.pieces.target_mesh == self.pieces.case.mesh
 
     def _body(self) -> Volume:
-        """Return what is meshed: smooth where its segmentation is rough."""
+        """Return the volume to be meshed, smoothed if its segmentation is rough."""
         body = materials_of(self.pieces.reference, self.pieces.case.model)
         if self._shares_mesh or not self.noise.reference_sd_mm:
             return body
         return smooth_outline(body, self.noise.correlation_mm)
 
     def _mesh(self, body: Volume, nodes: int) -> Hierarchy:
-        """Mesh the body; a target that the candidates' own mesh has made is fitted by that one."""
+        """Mesh the body, like the candidates if their mesh was used to simulate the target."""
         if not self._shares_mesh:
             return mesh_whole_body(body, nodes=nodes)
         mesh = self.pieces.case.mesh

@@ -1,4 +1,4 @@
-"""The acquisition that a case describes: its body, its loads and its noise."""
+"""The acquisition described by a case: its body, loads and noise."""
 
 from palpate.storage.values import Volume
 from palpate.workers.body.mesh.hierarchy import Hierarchy
@@ -9,7 +9,7 @@ from palpate.workers.organs.breast.case.scanned_case import ScannedCase
 
 
 def acquisition_of(case: ScannedCase) -> Acquisition:
-    """Return what is known of a case without looking at its loaded scans.
+    """Return the acquisition of a case, without its loaded scans.
 
     Raises
     ------
@@ -31,12 +31,12 @@ def acquisition_of(case: ScannedCase) -> Acquisition:
 
 
 def mesh_of(body: Volume, nodes: int) -> Hierarchy:
-    """Mesh a body with about so many nodes."""
+    """Mesh a body with approximately the given number of nodes."""
     return mesh_whole_body(body, nodes=nodes)
 
 
 def body_of(case: ScannedCase) -> Volume:
-    """Return what is meshed: the reference scan without the roughness of its segmentation."""
+    """Return the volume to be meshed: the reference scan, smoothed if its segmentation is rough."""
     if not case.noise.reference_sd_mm:
         return case.reference
     return smooth_outline(case.reference, case.noise.correlation_mm)

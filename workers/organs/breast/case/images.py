@@ -1,4 +1,4 @@
-"""Images of a case as tissues: files beside it, or volumes of the store."""
+"""Images of a case as tissues: files in its folder, or volumes of the store."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,27 +12,27 @@ from palpate.workers.input_files import named_by
 from palpate.workers.organs.breast.case.spec import CaseScans
 
 StoredVolume = Callable[[str], Volume | None]
-"""From the name of a volume in the store to the volume."""
+"""Returns a volume of the store by its name."""
 USUAL = {0: "air", 1: "fat", 2: "glandular"}
 NEEDED = {Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR}
-# Skin is as soft as fat where it is no part of the model.
+# Skin counts as fat if it is not part of the model.
 COUNTED_AS = {Tissue.SKIN: Tissue.FAT}
 
 
 def no_store(name: str) -> Volume | None:
-    """Return None: there is no store."""
+    """Return None, as there is no store."""
     return None
 
 
 class CaseImages:
-    """The images that a case names.
+    """The images named in a case.
 
     Parameters
     ----------
     case : Path
         The file of the case.
     scans : CaseScans
-        How its images are read.
+        Settings for reading its images.
     stored : callable
         Finds volumes of the store.
     """
@@ -46,7 +46,7 @@ class CaseImages:
         Raises
         ------
         InputError
-            If there is no such image, or a label has no tissue that a diagnosis knows.
+            If there is no such image, or a label is no tissue of a diagnosis.
         """
         image = self._image(name)
         found = self._understood(image)
@@ -101,7 +101,7 @@ class CaseImages:
 
 
 def labels_in_words(labels: Mapping[int | str, str] | Mapping[int, str] | str | None) -> str:
-    """Return what a case states about labels, for a table."""
+    """Describe the labels stated in a case, for a table."""
     if isinstance(labels, str):
         return f"named by {labels}"
     if labels is None:

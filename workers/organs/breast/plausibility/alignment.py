@@ -14,9 +14,9 @@ from palpate.workers.organs.breast.spec import BreastCase
 
 
 def aligned(rest: Volume, scan: Volume, load: PlateLoad) -> tuple[Volume, RigidMotion]:
-    """Return a loaded scan in the frame of the scan at rest, and how it was moved.
+    """Return a loaded scan in the frame of the scan at rest, and the motion applied.
 
-    See `workers.organs.breast.plausibility.rigid_motion` for what can be found under compression.
+    See `workers.organs.breast.plausibility.rigid_motion` for the limits under compression.
     """
     here = Scan("the scan at rest", 0.0, load.axis, rest)
     there = Scan("the loaded scan", load.force_n, load.axis, scan)
@@ -27,7 +27,7 @@ def aligned(rest: Volume, scan: Volume, load: PlateLoad) -> tuple[Volume, RigidM
 
 
 def study_load(case: BreastCase) -> PlateLoad:
-    """Return the load of a study as checks and alignment look at it."""
+    """Return the load of a study for checks and alignment."""
     load, distance = case.load, case.load.plate_distance_mm
     fixed = "middle" if load.moving == "both" else "lower"
     axis = compression_axis(load.oblique_deg)

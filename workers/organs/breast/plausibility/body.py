@@ -1,4 +1,4 @@
-"""Plausibility checks of one scan of a breast, whatever it is used for."""
+"""Plausibility checks of a single scan of a breast."""
 
 from collections.abc import Iterator
 
@@ -11,12 +11,12 @@ USUAL_MM = (50.0, 400.0)
 # Phys. 38, 2180, 2011: 80 to 2,500 ml in breast CT). The limits leave room for a part of a small
 # breast that was cut far from the chest wall.
 POSSIBLE_ML = (10.0, 5000.0)
-# Of the body: smaller pieces are specks of a segmentation.
+# Share of the body below which pieces are specks of a segmentation.
 SPECKS = 0.01
 
 
 def check_volume_range(scan: Scan) -> Iterator[Finding]:
-    """Refuse a body that is no breast, such as one in metres or micrometres."""
+    """Refuse a body of implausible size, such as one in metres or micrometres."""
     least, most = POSSIBLE_ML
     if not least <= scan.ml <= most:
         yield Finding(
@@ -36,7 +36,7 @@ def check_volume_range(scan: Scan) -> Iterator[Finding]:
 
 
 def check_empty_slices(scan: Scan) -> Iterator[Finding]:
-    """Refuse a body with slices that nobody has labelled."""
+    """Refuse a body with unlabelled slices."""
     for axis, empty in scan.empty_slices.items():
         count = scan.body.shape["zyx".index(axis)]
         yield Finding(
@@ -48,7 +48,7 @@ def check_empty_slices(scan: Scan) -> Iterator[Finding]:
 
 
 def check_pieces(scan: Scan) -> Iterator[Finding]:
-    """Refuse a body in several pieces, of which only one would be meshed."""
+    """Refuse a body in several pieces, only one of which would be meshed."""
     largest, *others = scan.pieces_ml
     if not others:
         return

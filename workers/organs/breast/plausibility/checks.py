@@ -1,4 +1,4 @@
-"""The list of plausibility checks of a breast, the same for studies, diagnoses and plans."""
+"""Plausibility checks of a breast, the same for studies, diagnoses and plans."""
 
 from collections.abc import Callable, Iterator
 
@@ -33,7 +33,7 @@ def check_bodies(facts: BreastFacts) -> Iterator[Finding]:
             yield from check(scan)
 
 
-# A group is checked if nothing was refused before: what it says would follow from that.
+# A group is checked only if nothing was refused before, as its findings would follow from that.
 CHECKS: tuple[tuple[Check, ...], ...] = (
     (check_bodies, check_outline, check_volumes),
     (
@@ -53,7 +53,7 @@ CHECKS: tuple[tuple[Check, ...], ...] = (
 
 
 def findings_of(facts: BreastFacts) -> Iterator[Finding]:
-    """Yield what the checks find, until a group of them refuses."""
+    """Yield the findings of the checks, up to the first group that refuses."""
     for group in CHECKS:
         found = [finding for check in group for finding in check(facts)]
         yield from found

@@ -5,18 +5,18 @@ from collections.abc import Iterator
 from palpate.workers.organs.breast.plausibility.scan_facts import BreastFacts, PlateLoad, Scan
 from palpate.workers.organs.study_checks import Finding
 
-# By how much a stated place of a plate may differ from a scan.
+# Tolerance of a stated plate position relative to a scan.
 PLATE_MM, PLATE_VOXELS = 2.0, 2.0
-# A gap between plate and body that is left at the start: contact and one voxel.
+# Gap between plate and body that is allowed at the start: contact and one voxel.
 START_MM = 2.0
 # Beyond this compression, in multiples of the thickness, a linear estimate is absurd.
 ABSURD_STRAIN = 5.0
 
 
 def check_force(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a force that would hardly move the plates, or press the body to nothing.
+    """Refuse a force that would hardly move the plates, or crush the body.
 
-    The estimate is linear: force times thickness over Young's modulus and mean section.
+    The estimate is linear: force times thickness divided by Young's modulus and mean section.
     """
     if facts.rest is None:
         return
@@ -46,7 +46,7 @@ def check_force(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def check_distance(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse plates whose stated distance is not the thickness of the bodies."""
+    """Refuse plates with a stated distance that differs from the thickness of the bodies."""
     scans = {id(load): scan for scan, load in facts.pressed}
     for load in facts.loads:
         rest = None if facts.rest is None else _along(facts.rest, load)
@@ -79,7 +79,7 @@ def check_distance(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def check_plates(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse plates that start off the body, or end where the body in the scan does not."""
+    """Refuse plates that start off the body, or end away from the body in the scan."""
     for load in facts.loads:
         if facts.rest is not None and load.starts_mm is not None:
             yield from _start(load, _along(facts.rest, load), *load.starts_mm)
@@ -122,7 +122,7 @@ def _along(rest: Scan, load: PlateLoad) -> Scan:
 
 
 def _off(distance: float, scan: Scan) -> float:
-    """Return how far a distance is from the thickness; bulges beside the plates do not count."""
+    """Return the difference of a distance from the thickness, ignoring bulges next to plates."""
     return min(abs(distance - scan.thickness_mm), abs(distance - scan.median_thickness_mm))
 
 

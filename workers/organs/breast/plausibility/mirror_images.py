@@ -1,8 +1,8 @@
-"""Mirror images: whether a pressed breast resembles the other one more when it is flipped.
+"""Detection of mirror images: a compressed breast that fits the one at rest better when flipped.
 
-Glandular tissue is compared where it is between the plates and in the box of the body. That
-hardly depends on how far the body was pressed: its lines along the compression become shorter,
-and its box longer and wider.
+The position of glandular tissue is compared relative to the plates and to the box of the body. It
+hardly depends on the amount of compression, which shortens lines along it and makes the box longer
+and wider.
 """
 
 from itertools import product
@@ -13,13 +13,13 @@ from palpate.storage.values import FloatArray, Tissue, Triple
 from palpate.workers.organs.breast.plausibility.extents import plate_frame
 from palpate.workers.organs.breast.plausibility.scan_facts import Scan
 
-# Cells across the compression, along it, and from the chest wall to the nipple.
+# Cells perpendicular to the compression, along it, and from the chest wall to the nipple.
 CELLS = (16, 6, 10)
-# By how much the sum of two correlations must be better for a mirror image. Of pairs made by
-# the solver the right one is better by 0.13 or more wherever a flip can be noticed at all, and
-# never worse by more than 0.01; the same holds for the pair of shared/data/breast_bct_niftysim.
+# Margin by which the sum of two correlations must be better for a mirror image. Among pairs made by
+# the solver the right one is better by 0.13 or more if a flip can be detected at all, and never
+# worse by more than 0.01; the same holds for the pair of shared/data/breast_bct_niftysim.
 MARGIN = 0.08
-# The least sum of both correlations with which two scans are taken for one body.
+# Minimum sum of both correlations for two scans to count as one body.
 ALIKE = 1.0
 
 Flip = tuple[bool, bool, bool]
@@ -29,7 +29,7 @@ SAME: Flip = (False, False, False)
 def mirrored(rest: Scan, scan: Scan) -> Flip:
     """Return the flips across, along and from wall to nipple under which a scan fits better.
 
-    All False where it fits as it is, or where nothing can tell.
+    All are False if it fits as it is, or if the flips cannot be distinguished.
     """
     fits = likeness(rest, scan)
     best = max(fits, key=lambda flip: fits[flip])
@@ -82,7 +82,7 @@ def _index(
 
 
 def _correlation(a: FloatArray, b: FloatArray, weight: FloatArray) -> float:
-    """Return a weighted correlation; 0 where one of the two is even."""
+    """Return a weighted correlation; 0 if one of the two is constant."""
     if not weight.any():
         return 0.0
     u = a - np.average(a, weights=weight)

@@ -15,28 +15,29 @@ from palpate.workers.organs.breast.plausibility.rigid_motion import RigidMotion,
 from palpate.workers.organs.breast.plausibility.scan_facts import AXES, BreastFacts, PlateLoad, Scan
 from palpate.workers.organs.study_checks import Finding
 
-# Of the volume: two segmentations of one body differ by less. A systematic error of half a voxel
-# of 1 mm on the whole outline of 450 ml would be 4 %.
+# Share of the volume by which two segmentations of one body may differ. A systematic error of half
+# a voxel of 1 mm on the whole outline of 450 ml would be 4 %.
 SEGMENTED = 0.04
 # Simulated pairs lose 0.5 to 1.05 times 3 (1 - 2 nu) ln(thickness before / after) of their volume
 # under the plates, 1.5 to 5 % at nu = 0.49; the pair of shared/data/breast_bct_niftysim 1 %.
 COMPRESSED = 1.25
-# Decimal logarithm of a ratio of spacings that another unit explains rather than another scan.
+# Decimal logarithm of a ratio of spacings above which another unit is more likely than another
+# scan.
 OTHER_UNIT = 0.7
-# Of the smaller body that must be inside the other one.
+# Share of the smaller body that must be inside the other one.
 OVERLAP_SHARE = 0.1
 # Share of voxels with the same label above which nothing has moved.
 NOT_MOVED = 0.98
 # Logarithmic shrinkage along another axis, over that along the stated one, above which a body was
 # pressed along the other; and the cosine above which two axes are the same.
 OTHER_AXIS, ALONG = 1.5, 0.7
-# By how much a body may be thicker under the larger force: segmentation and voxels.
+# Tolerance for a body that is thicker under the larger force: segmentation and voxels.
 THICKNESS_VOXELS = 2.0
-# Glandular shares this far apart are compared with those of exchanged labels.
+# Difference of glandular shares above which exchanged labels are considered.
 GLAND_SHARE = 0.1
-# Outline made of glandular voxels, above which fat and gland are taken for each other.
+# Share of glandular voxels in the outline above which fat and gland look exchanged.
 GLAND_OUTSIDE = 0.75
-# Smaller shifts and turns are not told from compression and voxels.
+# Smaller shifts and rotations cannot be distinguished from compression and voxel errors.
 LEAST_SHIFT_MM, LEAST_SHIFT_VOXELS, LEAST_TURN_DEG = 2.5, 1.5, 1.0
 
 
@@ -181,7 +182,7 @@ def check_outline(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def check_shares(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a pair of which one has the labels of fat and gland exchanged."""
+    """Refuse a pair in which one scan has the labels of fat and gland exchanged."""
     for rest, scan, _ in _pairs(facts):
         before, after = _gland_share(rest), _gland_share(scan)
         if abs(after - before) > max(GLAND_SHARE, abs(after - (1 - before))):
@@ -239,14 +240,14 @@ def check_rigid_motion(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def _is_small(motion: RigidMotion, rest: Scan, scan: Scan) -> bool:
-    """Return whether compression and voxels explain a motion."""
+    """Check whether compression and voxels explain a motion."""
     voxel = max(rest.voxel_mm, scan.voxel_mm)
     least_mm = max(LEAST_SHIFT_MM, LEAST_SHIFT_VOXELS * voxel)
     return motion.shift <= least_mm and motion.turn <= LEAST_TURN_DEG
 
 
 def check_order_of_loads(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse scans of which the body gets no thinner from the smallest force to the largest."""
+    """Refuse scans in which the body gets thicker under a larger force."""
     if facts.rest is None:
         return
     for axis in dict.fromkeys(scan.axis for scan, _ in facts.pressed):

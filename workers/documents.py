@@ -1,7 +1,7 @@
 """YAML and JSON documents of plain values, in which no key is repeated.
 
-Both parsers keep the last of two equal keys and drop the first without a word, so a
-force that was typed twice would be halved or doubled. Every file, upload and request is
+Both parsers keep the last of two equal keys and silently drop the first, so a force that
+was typed twice would be halved or doubled. Every file, upload and request is
 parsed here, into dict, list, str, int, float, bool and None; other tags of YAML are refused,
 dates are texts. Nesting, whole numbers and the size that aliases stand for are bounded.
 """

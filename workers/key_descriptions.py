@@ -1,4 +1,4 @@
-"""What each key of a file means, from the models that check the files."""
+"""Descriptions of the keys of a file, from the models that check the files."""
 
 import inspect
 import re
@@ -11,9 +11,9 @@ _SECTION = re.compile(r"Parameters\n-+\n(?P<body>.*?)(?:\n\n[A-Z]\w+\n-+|\Z)", r
 
 
 def key_descriptions(model: type[BaseModel]) -> dict[str, str]:
-    """Return what the keys of a model mean, by the names of its fields.
+    """Return the descriptions of a model's keys, by the names of its fields.
 
-    A field says it itself, or its class does in the section "Parameters" of the docstring.
+    They come from the field, or from the section "Parameters" of the class docstring.
     """
     found: dict[str, str] = {}
     for cls in reversed(model.__mro__):

@@ -1,4 +1,4 @@
-"""Keys that a file leaves empty: which of them are required, and what belongs there.
+"""Messages about required keys that a file leaves out or empty.
 
 The text for a key is the ``description`` of its field.
 """
@@ -31,7 +31,7 @@ def without_empty_keys(model: type[BaseModel], data: Mapping[Any, Any]) -> dict[
 
 
 def is_missing(error: Mapping[str, Any]) -> bool:
-    """Return whether an error of pydantic is a required key that is left out or empty."""
+    """Check whether a pydantic error is about a required key that is missing or empty."""
     return error["type"] == MISSING or error["input"] is None
 
 
@@ -127,7 +127,7 @@ def one_of(keys: Sequence[str]) -> str:
 
 
 def _none_of(model: type[BaseModel], keys: Sequence[str], empty: Collection[str]) -> str:
-    """Return what belongs into the first of `keys`, if that alone is empty, or into any."""
+    """Return the text for the first of `keys`, if that alone is empty, or for any of them."""
     fields, (key, *others) = model.model_fields, keys
     if key in empty and not any(other in empty for other in others):
         return f"{key} is missing: {fields[key].description or key}; or give {' or '.join(others)}"
@@ -143,7 +143,7 @@ def _nullable_fields(model: type[BaseModel]) -> frozenset[str]:
 
 
 def _model_in(annotation: Any) -> type[BaseModel] | None:
-    """Return the record that a type holds, such as that of ``tuple[Record, ...] | None``."""
+    """Return the model in a type, such as ``Record`` in ``tuple[Record, ...] | None``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     found = (_model_in(part) for part in get_args(annotation))

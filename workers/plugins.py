@@ -1,4 +1,4 @@
-"""Everything Palpate finds by name: organs, effects, laws, scores, searches, sources, exporters.
+"""Plug-ins by name: organs, effects, laws, scores, searches, sources, exporters.
 
 Each is an entry point of an installed distribution, Palpate's own among them::
 
@@ -117,7 +117,7 @@ def foreign_plugins() -> tuple[Plugin, ...]:
 
 
 def lacking_plugins(wanted: Iterable[Plugin]) -> list[str]:
-    """Return what this process lacks of some plug-ins, as texts; sent to workers.
+    """Return descriptions of the plug-ins that this process lacks; sent to workers.
 
     Another version counts as lacking, because its results may differ.
     """

@@ -1,4 +1,4 @@
-"""Hold what a worker process needs: one thread for each evaluation, and a bounded cache.
+"""Resources of a worker process: one thread for each evaluation, and a bounded cache.
 
 The only file of this package that knows Dask. Everything works the same in a
 process that is no Dask worker.
@@ -28,7 +28,7 @@ CACHE_BYTES = 2 * 1024**3
 
 
 class OneThread(WorkerPlugin):
-    """Tell the libraries of a worker to use one thread.
+    """A worker plug-in that limits libraries to one thread.
 
     Register it with ``client.register_plugin(OneThread())``. It comes in time for
     numba, but not for the BLAS of NumPy, which Dask itself loads: a worker that
@@ -58,7 +58,7 @@ def worker_name() -> str:
 
 
 class Cache:
-    """Keep the values used last, as many as fit.
+    """A cache of the most recently used values.
 
     Parameters
     ----------
@@ -96,13 +96,13 @@ class Cache:
         return value
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Remove all values."""
         with self._lock:
             self._values.clear()
 
     @property
     def used_bytes(self) -> int:
-        """Return what the arrays of all values take: each may have grown since it was made."""
+        """Return the present size of the arrays of all values, which may grow after creation."""
         return size_bytes(list(self._values.values()))
 
     def __len__(self) -> int:

@@ -1,4 +1,4 @@
-r"""Reduce residuals and their derivatives to the normal equations of a least-squares problem.
+r"""Normal equations of a least-squares problem, from residuals and their derivatives.
 
 With residuals r and derivatives J in units of their noise, and errors that many residuals have
 in common, :math:`r = B b + e` with b of unit variance,
@@ -7,8 +7,8 @@ in common, :math:`r = B b + e` with b of unit variance,
           g = J' W e, \qquad H = J' W J - J' W B (B' W B + 1)^{-1} B' W J,
 
 where :math:`\rho(e) = e^2` up to `HUBER` and linear beyond, and W its weights (P. J. Huber, Ann.
-Math. Statist. 35 (1964) 73): points whose interface has another one beside it do not count in
-full. b is found by reweighting; the derivative of c by the parameters is 2 g.
+Math. Statist. 35 (1964) 73), so that points close to a second interface have less weight. b is
+found by reweighting; the derivative of c by the parameters is 2 g.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ ROUNDS = 30
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """The normal equations at one place.
+    """The normal equations at given parameter values.
 
     Parameters
     ----------

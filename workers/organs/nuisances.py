@@ -1,4 +1,4 @@
-"""Nuisance parameters: what a study does not search and an interval has to allow for."""
+"""Nuisance parameters: uncertain but not searched, and allowed for in intervals."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -20,14 +20,14 @@ class Nuisance:
     name : str
         As in the vocabulary of the organ, or of an effect on the observation.
     group : str
-        What it belongs to, as a noun phrase: ``the place of the scan``.
+        Its subject, as a noun phrase: ``the place of the scan``.
     sd : float
-        Standard deviation before data, inside units.
+        Prior standard deviation, in internal units.
     lower, upper : float
-        Interval by which its step is measured when residuals are differentiated.
+        Interval that scales its step when residuals are differentiated.
     always : bool
-        Whether it counts even where the model leaves no more than the noise: the residual cannot
-        show it, as with an error of the force.
+        Whether it counts even if the residual is at the noise level, which cannot show it, as with
+        an error of the force.
     """
 
     name: str
@@ -53,12 +53,12 @@ class NuisanceEffect:
     group : str
         See `Nuisance.group`.
     sd : float, optional
-        Of each parameter, inside units; those of the effect unless stated.
+        Of each parameter, in internal units; default: the effect's.
     interval : (float, float), optional
-        See `Nuisance.lower`; those of the parameters unless stated.
+        See `Nuisance.lower`; default: the parameters' own.
     of : {"model", "image", "force"}
-        What is uncertain: the model of any target, the image of a target that was scanned, or
-        the force that was measured with it.
+        The uncertain quantity: the model of any target, the image of a scanned target, or the
+        force measured with it.
     always : bool
         See `Nuisance.always`.
     """

@@ -1,4 +1,4 @@
-"""What an organ offers, so that searching and evaluating it needs to know nothing of it.
+"""Protocols of an organ, through which it is searched and evaluated.
 
 ::
 
@@ -62,7 +62,7 @@ class Solution(Protocol):
 
 
 class Score(Protocol):
-    """How alike two bodies are."""
+    """Similarity of two bodies."""
 
     def as_dict(self) -> Scores:
         """Return ``jc``, ``mhd_mm``, ``mhd_voxels`` and ``gsf``."""
@@ -77,7 +77,7 @@ class Scorer(Protocol[Compared]):
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """How far the interfaces of a simulated body are from those of the image.
+    """Distances between the interfaces of a simulated body and of the image.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Residuals:
     equations : NormalEquations
         Of the free parameters: of their logarithms where `logarithmic`.
     noise : str
-        What the distances were divided by, in words.
+        The noise by which the distances were divided, in words.
     """
 
     mm: FloatArray
@@ -107,15 +107,14 @@ class Fitted(Protocol):
 
 
 def logarithmic(parameter: FreeParameter) -> bool:
-    """Return whether a parameter is fitted as its logarithm: where it cannot be zero."""
+    """Check whether a parameter is fitted as its logarithm, because it cannot be zero."""
     return parameter["lower"] > 0
 
 
 class Organ(Protocol[Body, Mesh, Model]):
-    """What every organ needs: its bodies and meshes, its model and its score.
+    """An organ: its bodies and meshes, its model and its score.
 
-    What may be stated of it is an `OrganSpec`; what only some organs can do is said by the
-    protocols below.
+    Its keys are an `OrganSpec`; the optional capabilities are the protocols below.
     """
 
     @property
@@ -136,7 +135,7 @@ class Organ(Protocol[Body, Mesh, Model]):
         """
 
     def body_settings(self, spec: Door) -> Facts:
-        """Return all else that the body depends on, as plain values."""
+        """Return the other settings on which the body depends, as plain values."""
 
     def make_body(self, spec: Door) -> Body:
         """Read or generate a body.
@@ -148,16 +147,16 @@ class Organ(Protocol[Body, Mesh, Model]):
         """
 
     def body_to_arrays(self, body: Body) -> Arrays | Volume:
-        """Return a body as what a store keeps: a volume, or named arrays."""
+        """Return a body in the form of the store: a volume, or named arrays."""
 
     def body_from_arrays(self, arrays: Arrays | Volume) -> Body:
-        """Return the body that `body_to_arrays` has taken apart."""
+        """Return the body from the result of `body_to_arrays`."""
 
     def simulated_case(self, case: Any, target: Any) -> CaseSpec:
         """Return the case under which a target is simulated: its own mesh, where it has one."""
 
     def mesh_settings(self, case: Any) -> Facts:
-        """Return what the mesh depends on beside the body, as plain values."""
+        """Return the settings of the mesh, apart from the body, as plain values."""
 
     def make_mesh(self, body: Body, case: Any) -> Mesh:
         """Mesh a body.
@@ -165,23 +164,23 @@ class Organ(Protocol[Body, Mesh, Model]):
         Raises
         ------
         InputError
-            If it cannot be meshed as the case says.
+            If it cannot be meshed as the case states.
         """
 
     def mesh_to_arrays(self, mesh: Mesh) -> Arrays:
         """Return a mesh as named arrays."""
 
     def mesh_from_arrays(self, arrays: Arrays) -> Mesh:
-        """Return the mesh that `mesh_to_arrays` has taken apart."""
+        """Return the mesh from the result of `mesh_to_arrays`."""
 
     def facts(self, body: Body, mesh: Mesh) -> Facts:
-        """Return what body and mesh are like: sizes, volumes, counts, units in their names."""
+        """Return sizes, volumes and counts of body and mesh, with units in their names."""
 
     def prepare(self, mesh: Mesh) -> Model:
-        """Make ready what the mesh alone decides; kept by a process for all candidates."""
+        """Prepare everything that depends on the mesh alone; cached for all candidates."""
 
     def landmarks(self, body: Body, case: Any) -> Any:
-        """Return what the load must know of a body's place, such as where it begins and ends."""
+        """Return the landmarks of a body for its load, such as its extent."""
 
     def problem(
         self,
@@ -191,26 +190,26 @@ class Organ(Protocol[Body, Mesh, Model]):
         landmarks: Any,
         target_landmarks: Any | None = None,
     ) -> Any:
-        """Return what the solver is asked: materials, load and effects.
+        """Return the problem for the solver: materials, load and effects.
 
         Parameters
         ----------
         constants : mapping of str to float
-            Every parameter, inside names and units; see `CaseSpec.complete`.
+            Every parameter, in internal names and units; see `CaseSpec.complete`.
         target_landmarks
             Of an imaged target; None for a simulated one and where there is none.
         """
 
     def solve(self, model: Model, problem: Any) -> Solution:
-        """Deform the body; not to converge is an ordinary outcome."""
+        """Deform the body; failure to converge is an ordinary outcome."""
 
     def deform(
         self, body: Body, mesh: Mesh, displacement_mm: FloatArray, target: Body | None = None
     ) -> Body:
-        """Return the deformed body, on the lattice of the target where there is one."""
+        """Return the deformed body, on the lattice of the target if there is one."""
 
     def scorer(self, target: Body, spec: Any) -> Scorer[Body]:
-        """Return what compares bodies with a target."""
+        """Return the scorer of bodies against a target."""
 
     def picture(self, body: Body) -> Volume:
         """Return a body as labelled voxels, to be drawn; a section has one slice."""
@@ -221,7 +220,7 @@ class AligningOrgan(Protocol):
     """An organ whose imaged targets can be aligned with the undeformed body."""
 
     def aligned(self, target: Any, reference: Any, case: Any) -> tuple[Any, Facts]:
-        """Return a target in the frame of the undeformed body, and how it was moved.
+        """Return a target in the frame of the undeformed body, and the motion applied.
 
         Facts are ``shift_mm`` and ``turn_deg``, each (x, y, z), and ``words``.
         """
@@ -232,10 +231,10 @@ class DifferentiableOrgan(Protocol):
     """An organ whose constants can be fitted by derivatives."""
 
     def coarse_case(self, case: Any, nodes: int) -> CaseSpec:
-        """Return the case with a mesh of about so many nodes."""
+        """Return the case with a mesh of approximately the given number of nodes."""
 
     def observation(self, body: Any, mesh: Any, target: Any, imaged: bool) -> Any:
-        """Return what residuals need of body and target; kept by a process for all candidates.
+        """Return the data of body and target for residuals; cached for all candidates.
 
         Parameters
         ----------
@@ -255,7 +254,7 @@ class DifferentiableOrgan(Protocol):
     ) -> Fitted:
         """Deform the body, and differentiate its residuals by the free parameters.
 
-        The same displacement as that of `Organ.solve` for the same problem.
+        The displacement equals the result of `Organ.solve` for the same problem.
         """
 
 
@@ -285,7 +284,7 @@ class StoredOrgan(Protocol):
     """An organ whose bodies can be named in the store instead of being read from a file."""
 
     def stored_name(self, spec: Door) -> str | None:
-        """Return the name of the stored body that is meant, or None where a body is made."""
+        """Return the name of the stored body, or None if the body has to be made."""
 
     def adapt_stored(self, body: Any, spec: Door) -> Any | None:
         """Return a stored body as `spec` describes it; None if it is taken as it is.
@@ -293,7 +292,7 @@ class StoredOrgan(Protocol):
         Raises
         ------
         InputError
-            If `spec` says what only a file can have, or the body is not fit for a study.
+            If `spec` has keys that apply only to files, or the body is unsuitable for a study.
         """
 
 
@@ -302,12 +301,12 @@ class CheckingOrgan(Protocol):
     """An organ that refuses some bodies after they were meshed."""
 
     def check(self, case: Any, body: Any, mesh_facts: Mapping[str, Any]) -> None:
-        """Refuse a case whose body cannot be modelled as it says.
+        """Check that the body of a case can be modelled as stated.
 
         Raises
         ------
         InputError
-            Saying what was found, what was expected and what to change.
+            With the value found, the value expected and what to change.
         """
 
 
@@ -330,7 +329,7 @@ def scores_by_part(
 
 @runtime_checkable
 class PressedOrgan(Protocol):
-    """An organ that plates press."""
+    """An organ that is compressed by plates."""
 
     def pressed(self, case: Any) -> Pressed:
-        """Return how they press."""
+        """Return the compression by the plates."""

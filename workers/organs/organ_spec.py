@@ -1,4 +1,4 @@
-"""What a study may state of an organ; it is read without the organ's solver."""
+"""Specification of an organ's study files, read without the organ's solver."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ class OrganSpec:
     Parameters
     ----------
     case, target, score : type
-        What may be stated under ``case``, ``target`` and ``score``.
+        Models of the keys under ``case``, ``target`` and ``score``.
     parameters : Vocabulary
-        All that a study may hold or search, effects of the model included.
+        All parameters that a study may hold or search, including effects of the model.
     nuisances : callable, optional
-        From a case, and whether its target is an image, to the parameters that intervals allow for
-        in addition to those searched. The place, scale and force of a simulated target are exact.
-        Default None: the organ has no derivatives, so its constants are not fitted by them.
+        Returns the unsearched parameters that intervals allow for, given a case and whether its
+        target is an image. The place, scale and force of a simulated target are exact. Default
+        None: the organ has no derivatives, so its constants are not fitted by them.
     """
 
     case: type[CaseSpec]

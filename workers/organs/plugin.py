@@ -1,4 +1,4 @@
-"""An organ as one value: the organ itself, and what else Palpate can do with it.
+"""An organ as one value, with its optional capabilities.
 
 A distribution offers it as an entry point of the group ``palpate.organs``. All that is large is
 named as ``"module:attribute"`` and imported when it is first used, so no result depends on the
@@ -13,7 +13,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """A fact of a body or its mesh, as a report shows it.
+    """A fact about a body or its mesh, as shown in a report.
 
     Parameters
     ----------
@@ -44,21 +44,21 @@ class OrganPlugin:
     organ : str
         The `workers.organs.organ.Organ`.
     checks : str
-        `workers.organs.study_checks.StudyChecks`: whether the input is plausible.
+        The `workers.organs.study_checks.StudyChecks`.
     findings : str
-        The module that follows `workers.organs.registry.Findings`: what a fitted body tells.
+        The module with `workers.organs.registry.Findings` about a fitted body.
     study_kind : str
-        The kind of source that a finished study is.
+        The kind of source of a finished study.
     study_source : str
-        From a finished study to its source; None if its studies cannot be diagnosed.
+        The class of that source; empty if its studies cannot be diagnosed.
     effects : str
-        The `workers.mechanics.effects.catalogue.Catalogue` of what its model may lack.
+        The `workers.mechanics.effects.catalogue.Catalogue` of effects its model may lack.
     load_direction : str
-        How the load acts in a picture, as a sentence.
+        The direction of the load in a picture, as a sentence.
     facts : tuple of Fact
-        What a report says of body and mesh.
+        Facts about body and mesh in a report.
     templates : mapping of str to str
-        Files for ``palpate new``: from their name to ``"package:file"``.
+        Files for ``palpate new``, ``"package:file"``, by name.
     """
 
     name: str
@@ -76,18 +76,18 @@ class OrganPlugin:
 
 @dataclass(frozen=True, slots=True)
 class SourcePlugin:
-    """Something that can be diagnosed or planned without being a study.
+    """A source of diagnoses or plans other than a study.
 
     A distribution offers it as an entry point of the group ``palpate.sources``.
 
     Parameters
     ----------
     kinds : mapping of str to str
-        From each kind of content to what makes its source again.
+        The class that recreates the source of each kind of content.
     reader : str
-        What reads a source from files; see `workers.organs.source_registry.Reader`.
+        The `workers.organs.source_registry.Reader` of its files.
     file : str
-        What its file is called, such as ``"experiment"``; empty where it has no keys of its own.
+        The name of its file, such as ``"experiment"``; empty if it has no keys of its own.
     keys : str
         The pydantic model of that file.
     """
@@ -104,7 +104,7 @@ def module_of(reference: str) -> str:
 
 
 def resolve(reference: str) -> Any:
-    """Return the object that ``"module:attribute"`` names; a module where no attribute is named."""
+    """Return the object named by ``"module:attribute"``, or a module without an attribute."""
     module, _, attribute = reference.partition(":")
     loaded = import_module(module)
     return getattr(loaded, attribute) if attribute else loaded

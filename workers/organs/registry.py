@@ -1,6 +1,6 @@
-"""The organs by name. An organ is imported when it is first asked for.
+"""Registry of organs by name.
 
-A result of one organ therefore does not depend on the code of another.
+An organ is imported on first use, so a result of one organ does not depend on the code of another.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,7 +23,7 @@ DEFAULT = "breast"
 
 
 class Findings(Protocol):
-    """Says what a fitted body tells, and draws it and the images it was read from."""
+    """Findings about a fitted body, with figures of it and of its images."""
 
     def findings(
         self,
@@ -38,7 +38,7 @@ class Findings(Protocol):
         """Return the findings of a fitted body as plain values; maybe nothing.
 
         ``notes`` are sentences for a reader, ``numbers`` belong to them, ``derived`` are values
-        that follow from the constants, ``against`` says why constants may not be quoted.
+        that follow from the constants, ``against`` are the reasons not to quote constants.
         """
 
     def figures(
@@ -71,7 +71,7 @@ def organ_modules(name: str) -> tuple[str, str]:
 
 
 def organ_spec(name: str) -> OrganSpec:
-    """Return what may be stated of an organ; see `organ_plugin`."""
+    """Return the specification of an organ; see `organ_plugin`."""
     spec: OrganSpec = resolve(organ_plugin(name).spec)
     return spec
 
@@ -83,7 +83,7 @@ def organ_named(name: str) -> Organ[Any, Any, Any]:
 
 
 def findings_of(organ: str) -> Findings | None:
-    """Return what says more of a fitted body; None for an organ without."""
+    """Return the source of an organ's findings; None if it has none."""
     name = organ_plugin(organ).findings
     found: Findings | None = resolve(name) if name else None
     return found
@@ -102,6 +102,6 @@ def catalogue_of(organ: str) -> "Catalogue":
 
 
 def pressed_of(case: CaseSpec) -> Pressed | None:
-    """Return how plates press the body of a case; None for an organ without plates."""
+    """Return the compression of a case by plates; None for an organ without plates."""
     organ = organ_named(case.organ)
     return organ.pressed(case) if isinstance(organ, PressedOrgan) else None

@@ -1,7 +1,7 @@
-"""What can be diagnosed or planned, by kind. A module is imported when it is first asked for.
+"""Registry of sources of a diagnosis or a plan, by kind.
 
-A result of one kind therefore does not depend on the code of another; see
-`workers.tasks.code_version`.
+A module is imported on first use, so a result of one kind does not depend on the code of another;
+see `workers.tasks.code_version`.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,40 +22,40 @@ from palpate.workers.organs.registry import organ_names, organ_plugin
 
 
 class Reader(Protocol):
-    """Reads one kind of source from files."""
+    """A reader of one kind of source from files."""
 
     plans: bool
     """Whether further scans of this kind can be planned."""
 
     def knows(self, path: Path) -> bool:
-        """Return whether this kind lies at a path."""
+        """Check whether a path is of this kind."""
 
     def read(self, path: Path, stored: Callable[[str], Volume | None]) -> Source:
-        """Read what is at a path.
+        """Read the source at a path.
 
         Parameters
         ----------
         path : Path
         stored : callable
-            From the name of a volume in the store to the volume, or None.
+            Returns a volume of the store by its name, or None.
 
         Raises
         ------
         InputError
-            If it does not make sense.
+            If the source is invalid.
         """
 
     def read_planned(
         self, path: Path, stored: Callable[[str], Volume | None]
     ) -> PlannedSource | None:
-        """Read what is known before the loaded scans; None if this kind cannot be planned."""
+        """Read a source without its loaded scans; None if this kind cannot be planned."""
 
     def understood(self, path: Path) -> list[tuple[str, str]]:
-        """Return what the file was understood to say: names and texts for a reader."""
+        """Return the settings as read from the file: names and texts for the user."""
 
 
 def source_kinds() -> dict[str, str]:
-    """Return what makes a source again from its content, ``"module:class"``, by kind."""
+    """Return the class that recreates each kind of source, ``"module:class"``, by kind."""
     kinds: dict[str, str] = {}
     for name in plugins.plugins("sources"):
         kinds |= source_plugin(name).kinds
@@ -89,26 +89,26 @@ def source_module(kind: str) -> str:
 
 
 def readers() -> Iterator[Reader]:
-    """Yield what reads sources from files."""
+    """Yield the readers of sources."""
     for name in plugins.plugins("sources"):
         reader: Reader = resolve(source_plugin(name).reader)
         yield reader
 
 
 def source_of(content: SourceContent) -> Source:
-    """Make a source of a diagnosis again from its content."""
+    """Recreate a source of a diagnosis from its content."""
     source: Source = resolve(_source_class(content.kind)).from_content(content)
     return source
 
 
 def planned_source_of(content: SourceContent) -> PlannedSource:
-    """Make a source of a plan again from its content."""
+    """Recreate a source of a plan from its content."""
     source: PlannedSource = resolve(_source_class(content.kind)).from_content(content)
     return source
 
 
 def source_of_study(organ: str, study: FinishedStudy) -> "StudySource":
-    """Return the source that a study of an organ is.
+    """Return a study of an organ as a source.
 
     Raises
     ------
@@ -134,4 +134,4 @@ def _source_class(kind: str) -> str:
 
 
 class StudySource(Source, PlannedSource, Protocol):
-    """A study can be both diagnosed and planned."""
+    """A study as a source, which can be both diagnosed and planned."""

@@ -1,6 +1,6 @@
-"""Plausibility checks of an organ, by name, and the rule that decides what is refused.
+"""Plausibility checks of an organ, by name, and the rule for refusing input.
 
-A module of checks is imported when it is first asked for, so no result depends on its code.
+A module of checks is imported on first use, so no result depends on its code.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -36,7 +36,7 @@ class Finding:
 
 
 class StudyChecks(Protocol):
-    """The checks of one organ; bodies that are not at hand are None."""
+    """The checks of one organ; unavailable bodies are None."""
 
     def of_case(self, case: Any) -> Iterator[Finding]:
         """Check a case without its body."""
@@ -75,7 +75,7 @@ class CheckedSource(Protocol):
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """Statements that every result of this source has to begin with."""
+        """Statements shown first in every result of this source."""
 
 
 def checks_of(organ: str) -> StudyChecks | None:
@@ -92,7 +92,7 @@ def refused(findings: Iterable[Finding], anyway: bool) -> list[Finding]:
 
 
 def accept(findings: Iterable[Finding], what: str, *, anyway: bool) -> list[Finding]:
-    """Return findings with which a computation goes on.
+    """Return the findings of an accepted input.
 
     Parameters
     ----------
@@ -120,6 +120,6 @@ def accept(findings: Iterable[Finding], what: str, *, anyway: bool) -> list[Find
 
 
 def caveats_of(findings: Iterable[Finding]) -> tuple[str, ...]:
-    """Return the statements with which the results of an insisting user begin."""
+    """Return the statements shown first in results computed with --anyway."""
     insisted = (finding for finding in findings if finding.severity == "implausible")
     return tuple(f"{FIRST_LINE}{finding.text}" for finding in insisted)

@@ -124,7 +124,7 @@ def test_the_terminal_explains_why_probabilities_add_up_to_more_than_one() -> No
     assert "0.75 times gravity along z (0.67 to 0.83; model: 0)" in said
 
 
-def test_json_holds_what_is_shown_beside_what_is_fitted() -> None:
+def test_json_has_shown_and_fitted_values() -> None:
     found = with_gravity(0.9956)
     record: Any = to_json(found)
     shown_effect = record["effects"][-1]

@@ -1,4 +1,4 @@
-"""Messages for trouble with workers, scripts and file systems say what to do."""
+"""Messages about workers, scripts and file systems with advice."""
 
 import errno
 import fcntl
@@ -95,7 +95,7 @@ def test_the_cause_of_an_error_counts_too() -> None:
             raise RuntimeError("Error during deserialization of the task graph") from missing
 
 
-def test_other_errors_of_workers_keep_their_words() -> None:
+def test_other_worker_errors_are_unchanged() -> None:
     for error in (ModuleNotFoundError("No module named 'pandas'"), ValueError("workers")):
         raise_if_foreign(error)
     with (

@@ -32,7 +32,7 @@ IN_PASCAL = SPEC.replace("E_fat_kpa: [5, 20]", "E_fat_kpa: [5000, 20000]")
 
 
 class Stopped(Inline):
-    """Is told to stop after some endings."""
+    """A stop request after a number of endings."""
 
     def __init__(self, after: int) -> None:
         self.left = after
@@ -103,7 +103,7 @@ def test_a_crash_of_all_candidates_names_the_log_with_its_traceback(tmp_path: Pa
     assert "Traceback of a worker" in StudyLayout(folder).log.read_text()
 
 
-def test_logs_of_studies_side_by_side_do_not_mix(tmp_path: Path) -> None:
+def test_logs_of_parallel_studies_do_not_mix(tmp_path: Path) -> None:
     entrance = Entrance(write_page=lambda folder, quick: None)
 
     def run_one(name: str) -> None:

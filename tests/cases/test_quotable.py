@@ -107,7 +107,7 @@ def identified(problem: FitJson, others: OtherProblems | None = None) -> Identif
 
 
 def studied(found: Identification, **changed: Any) -> StudyResults:
-    """Return a study whose estimates are those of an identification."""
+    """Return a study with the estimates of an identification."""
     estimates = {
         name: ParameterEstimate(f"{name}_kpa", "kPa", 1e3 * low, 1e3 * high, one.estimate, None)
         for (name, (low, high)), one in zip(BOUNDS.items(), found.constants.values(), strict=True)
@@ -178,7 +178,7 @@ def test_an_unfinished_search_has_no_interval() -> None:
     assert not found.estimates["E_fat"].quotable
 
 
-# --- errors beside the image ---------------------------------------------------------------
+# --- errors other than the image -----------------------------------------------------------
 
 PLACE = Nuisance("motion_x", "the place of the scan", 1.0, -5.0, 5.0)
 FORCE = Nuisance("ln_plate_force", "the force", 0.08, -1.0, 1.0, always=True)
@@ -301,7 +301,7 @@ def test_the_shear_modulus_of_a_cornea_has_an_interval() -> None:
     assert study_json(shown)["derived"]["G0"]["quotable"] is True
 
 
-def test_the_interval_of_a_shear_modulus_contains_what_the_mesh_adds_to_it() -> None:
+def test_shear_modulus_interval_includes_the_mesh_error() -> None:
     """The mesh raises G0 by 3 %: the truth is lower by that, to a quarter of it."""
     (g0,) = derived_estimates(with_shear_modulus(mesh_shift=0.03, mesh_sd=0.0075))
     reach = 1.6449 * math.hypot(0.01, 0.0075)

@@ -164,7 +164,7 @@ def test_a_prediction_contains_what_the_fit_leaves(tmp_path):
     assert (np.abs(moved - truth) < 1.645 * sd).mean() > 0.8
 
 
-def test_arrows_are_drawn_from_the_components_that_there_are():
+def test_arrows_use_the_measured_components():
     measured = np.array([[True, True, True], [True, False, True], [False, True, True]])
     at, axis = np.nonzero(measured)
     places = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
@@ -201,7 +201,7 @@ def test_supports_that_carry_a_part_of_small_forces_are_named(tmp_path):
     assert supported(inverse, [problem], [strong], [moved]) == ()
 
 
-def test_causes_without_an_effect_are_those_of_a_bench():
+def test_lists_causes_of_a_bench_without_an_effect():
     text = " ".join(" ".join(pair) for pair in NOT_SIMULATED).lower()
     assert not any(word in text for word in ("gland", "fat", "nipple", "skin", "breast", "scan"))
 

@@ -111,7 +111,7 @@ def test_reads_every_kind_of_volume_cell(tmp_path, kind, suffix):
     assert notes == ()
 
 
-def test_body_is_the_volume_cells_beside_a_plate_of_triangles(tmp_path):
+def test_body_is_the_volume_cells_despite_a_plate_of_triangles(tmp_path):
     plate = (np.array([[-50.0, -50, 60], [90, -50, 60], [0, 90, 60]]), np.array([[0, 1, 2]]))
     for kind in ("tetra", "tetra10"):
         body = tetrahedra() if kind == "tetra" else quadratic()
@@ -281,7 +281,7 @@ def test_physical_groups_label_every_block(tmp_path):
      ("a.inp", b"*NODE\n1, 2\n*ELEMENT, TYPE=C3D4\n1, 5, 6, 7, 8\n"), ("a.vtu", b"<VTKFile"),
      ("a.xyz", b"")],
 )  # fmt: skip
-def test_damaged_files_are_one_message(tmp_path, name, content):
+def test_damaged_files_give_one_message(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=name):
         read_mesh_file(tmp_path / name, 1.0)

@@ -139,7 +139,7 @@ def test_reads_separators_of_thousands(tmp_path):
         ("a,b\nm,mm\n1,2\n", "line 2: the column a is in m, expected mm"),
     ],
 )
-def test_refuses_what_can_be_read_in_two_ways(tmp_path, text, words):
+def test_refuses_ambiguous_tables(tmp_path, text, words):
     path = tmp_path / "a.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     columns = ["a", "b"] if len(text) < 200 else HEAD

@@ -1,4 +1,4 @@
-"""Files of an experiment that a stranger wrote: format strings, headers that lie, wild numbers."""
+"""Untrusted experiment files: format strings, inconsistent headers, extreme numbers."""
 
 import struct
 from pathlib import Path
@@ -25,14 +25,14 @@ from tests.cases.bench.bench_cases import described, write
         "{axis}{marker}{",
     ],
 )  # fmt: skip
-def test_columns_are_no_format_strings(tmp_path: Path, column: str) -> None:
+def test_column_names_are_not_format_strings(tmp_path: Path, column: str) -> None:
     data = described()
     data["markers"]["column"] = column
     with pytest.raises(InputError, match="column"):
         read_experiment(write(tmp_path, data))
 
 
-def test_names_of_markers_are_no_placeholders(tmp_path: Path) -> None:
+def test_marker_names_are_not_placeholders(tmp_path: Path) -> None:
     data = described()
     data["markers"]["markers"]["{axis}"] = data["markers"]["markers"].pop("M1")
     with pytest.raises(InputError, match=r"lacks the columns \{axis\}_x_mm"):
@@ -80,7 +80,7 @@ MESHES = {
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_meshes_that_lie_are_refused(tmp_path: Path, name: str) -> None:
+def test_rejects_inconsistent_meshes(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     path.write_bytes(MESHES[name])
     with pytest.raises(InputError, match=name):
@@ -98,7 +98,7 @@ TABLES = {
 
 
 @pytest.mark.parametrize("table", TABLES)
-def test_tables_that_are_none_are_refused_briefly(tmp_path: Path, table: str) -> None:
+def test_rejects_invalid_tables_briefly(tmp_path: Path, table: str) -> None:
     path = tmp_path / "a.csv"
     path.write_text(TABLES[table])
     with pytest.raises(InputError, match=r"a\.csv") as caught:
@@ -128,7 +128,7 @@ def test_huge_pictures_are_refused_before_they_are_decoded(tmp_path: Path) -> No
         {"holds": [{"region": "bottom", "axes": ["z"] * 10_000}]},
     ],
 )
-def test_wild_numbers_end_in_a_message_or_an_answer(tmp_path: Path, change: dict) -> None:
+def test_extreme_numbers_give_a_message_or_an_answer(tmp_path: Path, change: dict) -> None:
     with np.errstate(all="ignore"):
         try:
             source = open_source(write(tmp_path, described() | change))

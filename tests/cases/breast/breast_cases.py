@@ -65,7 +65,7 @@ def findings(
     align: str | None = None,
     constants: Mapping[str, float] | None = None,
 ) -> list[Finding]:
-    """What the checks of a study say of two volumes."""
+    """Findings of the checks of a study for two volumes."""
     case = case_of(load or {"force_n": 60}, constants)
     target = BreastTarget.model_validate({"volume": "pressed.nrrd", "align": align})
     if align is not None and rest is not None and scan is not None:

@@ -53,7 +53,7 @@ def test_ordinary_pairs_raise_nothing(body: dict[str, Any], load: dict[str, Any]
     assert [one.text for one in findings(rest, pressed(rest, load), load)] == []
 
 
-def test_a_soft_breast_loses_volume_without_a_word() -> None:
+def test_a_soft_breast_may_lose_volume() -> None:
     rest = at_rest()
     soft = {"E_fat_kpa": 5.0, "E_glandular_kpa": 10.0}
     assert findings(rest, pressed(rest, {"force_n": 60}, soft)) == []
@@ -285,7 +285,7 @@ def test_every_entrance_refuses_a_body_in_metres(here: Path, command: tuple[str,
     assert not list(here.glob("runs/*/journal*"))
 
 
-def test_import_names_pieces_and_goes_on(here: Path) -> None:
+def test_import_warns_of_pieces_and_continues(here: Path) -> None:
     write(here / "rest.nrrd", gaps(usual_pair()[0], 9, 10, 11))
     result = palpate("import", "rest.nrrd", "--name", "rest")
     assert result.exit_code == 0, said(result)
@@ -300,7 +300,7 @@ def test_plates_that_start_off_the_body_are_named(here: Path) -> None:
     assert "your upper plate starts 12.5 mm off the body (62.5 mm" in said(result)
 
 
-def test_plates_that_are_left_out_start_at_the_body(here: Path) -> None:
+def test_omitted_plates_start_at_the_body(here: Path) -> None:
     from palpate.workers.organs.breast.case.files import read_case
 
     case = read_case(here / "case.yaml")
@@ -319,7 +319,7 @@ def test_case_is_aligned_if_its_file_asks(here: Path) -> None:
 
 
 @pytest.mark.slow
-def test_results_of_an_insisting_user_begin_with_the_reason(here: Path) -> None:
+def test_results_with_anyway_start_with_the_reason(here: Path) -> None:
     from palpate import Study
 
     write(here / "pressed.nrrd", shifted(usual_pair()[1], 0, 0, 6))
@@ -335,7 +335,7 @@ def test_results_of_an_insisting_user_begin_with_the_reason(here: Path) -> None:
 
 
 @pytest.mark.slow
-def test_aligned_target_is_said_first(here: Path) -> None:
+def test_reports_an_aligned_target_first(here: Path) -> None:
     write(here / "pressed.nrrd", shifted(usual_pair()[1], 5, 0, 6))
     (here / "study.yaml").write_text(STUDY.replace("pressed.nrrd", "pressed.nrrd, align: rigid"))
     result = palpate("run", "study.yaml", "--workers", "1")

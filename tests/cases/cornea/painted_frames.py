@@ -59,7 +59,7 @@ def resized(pixels: Pixels, across: float, down: float | None = None) -> Pixels:
 
 
 def saved(pixels: Pixels, path: Path, **more: Any) -> dict[str, Any]:
-    """Write a frame to a file, and return what a study file says of it."""
+    """Write a frame to a file, and return its entry in a study file."""
     Image.fromarray(pixels).save(path, **more)
     return {"file": str(path), "pixel_mm": list(PIXEL_MM), "refraction": None}
 

@@ -185,7 +185,7 @@ def test_refuses_a_coloured_line_on_the_target(tmp_path: Path) -> None:
     assert "jet.png (target.frame) has" in only(findings(tmp_path, dented=drawn))
 
 
-def test_warns_of_colours_beside_the_cornea(tmp_path: Path) -> None:
+def test_warns_of_colours_next_to_the_cornea(tmp_path: Path) -> None:
     logo = painted(REST, lambda d: d.text((5, 5), "OD", fill=(0, 120, 255), font_size=20))
     (found,) = findings(tmp_path, logo)
     assert found.severity == "warning"

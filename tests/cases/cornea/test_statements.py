@@ -104,7 +104,7 @@ def test_constants_that_are_not_identifiable_are_not_quotable(converged: StudyRe
     assert any("No single constant is known" in note for note in converged.findings["notes"])
 
 
-def test_page_and_terminal_say_the_same(
+def test_page_and_terminal_agree(
     converged: StudyResults, capsys: pytest.CaptureFixture[str]
 ) -> None:
     print_report(converged, make_console())
@@ -143,7 +143,7 @@ def test_a_name_means_the_same_constant_where_other_terms_are_held() -> None:
     assert {n: v for n, v in case.complete(swapped).items() if n in INSIDE} == INSIDE
 
 
-def test_the_interval_of_a_constant_is_that_of_its_estimate(tmp_path: Path) -> None:
+def test_interval_belongs_to_the_estimate(tmp_path: Path) -> None:
     """Of two terms the one with the lower exponent is held: the other one is estimated."""
     case = CASE | {"constants": {"mu2_pa": 11000, "alpha2": 30}, "mesh": {"elements": 60}}
     spec = {
@@ -175,7 +175,7 @@ def solved(case: CorneaCase, body: Section) -> tuple[Any, Any, Section]:
     return mesh, model, ORGAN.deform(body, mesh, outcome.displacement_mm)
 
 
-def test_the_shift_by_the_mesh_is_how_far_a_fit_to_a_finer_mesh_is_off() -> None:
+def test_mesh_shift_equals_the_error_on_a_finer_mesh() -> None:
     case = validated(CorneaCase, CASE)
     body = ORGAN.make_body(case.reference)
     mesh, model, _ = solved(case, body)

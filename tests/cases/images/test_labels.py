@@ -131,7 +131,7 @@ class TestNamesInFiles:
         with pytest.raises(InputError, match=said):
             read_label_file(tmp_path / file)
 
-    def test_refuses_layers_and_says_how_to_export(self, tmp_path: Path) -> None:
+    def test_refuses_layers_with_export_advice(self, tmp_path: Path) -> None:
         both = np.stack([breast(), breast()], axis=-1)  # layers run fastest
         header = LPS | {"space directions": np.vstack([np.full(3, np.nan), 2 * np.eye(3)])}
         header["kinds"] = ["list", "domain", "domain", "domain"]
@@ -249,7 +249,7 @@ class TestStudiesAndImports:
             ([1, 2], "expected such as"),
         ],
     )
-    def test_refuses_maps_that_make_no_sense(self, labels: Any, said: str) -> None:
+    def test_refuses_invalid_maps(self, labels: Any, said: str) -> None:
         reference = {"volume": "a", "labels": labels}
         with pytest.raises(ValueError, match=said):
             BreastCase.model_validate({"reference": reference, "load": {"force_n": 1}})
@@ -348,7 +348,7 @@ class TestValues:
         ("bad", "said"),
         [(2e-3, "it contains 0.002"), (np.nan, "it contains NaN"), (np.inf, "infinity")],
     )
-    def test_other_numbers_are_none(self, bad: float, said: str) -> None:
+    def test_other_numbers_are_refused(self, bad: float, said: str) -> None:
         values = breast().astype(float)
         values[0, 0, 0] = bad
         with pytest.raises(InputError, match=said):

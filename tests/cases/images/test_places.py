@@ -1,4 +1,4 @@
-"""Images are where, and as large as, their files say; files that contradict themselves fail."""
+"""Images have the position and size stated in their files; contradictory files fail."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -222,9 +222,7 @@ class TestSlices:
             (["a1_z3.tif", "a2_z2.tif", "a3_z1.tif"], "give different orders"),
         ],
     )
-    def test_refuses_slices_that_are_no_row(
-        self, tmp_path: Path, names: list[str], said: str
-    ) -> None:
+    def test_refuses_irregular_slices(self, tmp_path: Path, names: list[str], said: str) -> None:
         for name in names:
             tifffile.imwrite(tmp_path / name, breast()[4])
         with pytest.raises(InputError, match=said):

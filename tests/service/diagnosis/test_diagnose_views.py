@@ -41,7 +41,7 @@ def test_a_scan_pressed_along_x_is_fitted_with_one_along_y(both_ways: Path) -> N
         assert scan.residual.std() < 0.3
 
 
-def test_plates_at_a_distance_tell_the_ratio_of_stiffness(both_ways: Path, tmp_path: Path) -> None:
+def test_plates_at_a_distance_give_the_stiffness_ratio(both_ways: Path, tmp_path: Path) -> None:
     (tmp_path / "case").mkdir()
     for file in both_ways.glob("*.nrrd"):
         (tmp_path / "case" / file.name).symlink_to(file)
@@ -65,9 +65,7 @@ def test_plates_at_a_distance_tell_the_ratio_of_stiffness(both_ways: Path, tmp_p
         ({"force_n": 8, "axis": [0, 0, 1]}, "across z"),
     ],
 )
-def test_a_load_that_makes_no_sense_is_refused(
-    load: dict[str, object], complaint: str, tmp_path: Path
-) -> None:
+def test_rejects_invalid_loads(load: dict[str, object], complaint: str, tmp_path: Path) -> None:
     said = described([{"volume": "pressed.nrrd"} | load])
     write_settings(tmp_path, said)
     with pytest.raises(InputError, match=complaint):

@@ -24,7 +24,7 @@ Json = dict[str, Any]
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the case lies and the plan is written."""
+    """The folder of the case and of the plan."""
     folder = tmp_path_factory.mktemp("plan")
     write_meant(folder / "meant", [at_force(12)])
     return folder
@@ -49,11 +49,11 @@ def _again(runs: Path) -> PlanSummary:
 
 @pytest.fixture(scope="module")
 def record(planned: PlanSummary) -> Json:
-    """The same as JSON."""
+    """The plan as JSON."""
     return dict(to_json(planned))
 
 
-def test_the_record_says_what_can_be_told(record: Json) -> None:
+def test_record_contains_the_plan(record: Json) -> None:
     assert record["case"] == "small"
     assert record["scans"] == ["12 N"]
     names = [e["name"] for e in record["effects"]]
@@ -68,7 +68,7 @@ def test_the_record_says_what_can_be_told(record: Json) -> None:
     assert not force["seen"]
 
 
-def test_what_else_could_be_measured_is_ranked(record: Json) -> None:
+def test_further_measurements_are_ranked(record: Json) -> None:
     found = {a["name"]: a for a in record["acquisitions"]}
     loads = {"a scan at 6 N", "a scan at 24 N", "a view, 12 N along x"}
     assert loads <= set(found) | {f"a scan at {n}" for n in record["not_simulated"]}
@@ -120,14 +120,14 @@ def test_the_page_shows_all_of_it(planned: PlanSummary, record: Json) -> None:
     assert render(planned) == render(planned)
 
 
-def test_nothing_to_plan_is_said(
+def test_reports_when_nothing_can_be_planned(
     tmp_path: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["plan", str(tmp_path), "--store", str(tmp_path / "store")]) == 2
     assert "expected a folder with case.yaml" in capsys.readouterr().err
 
 
-def test_words_for_what_is_silent_and_alike() -> None:
+def test_words_for_invisible_and_similar_effects() -> None:
     def effect(name: str, why_not: Any) -> PlannedEffect:
         return PlannedEffect(name, "", "", (), 0.5, None, 0.0, 1.0, not why_not, why_not)
 

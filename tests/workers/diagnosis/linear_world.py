@@ -1,6 +1,6 @@
 """A world in which everything is linear and normal, so that the truth is known exactly.
 
-Points lie on an ellipsoid of 60 x 40 x 30 mm half axes, seen in two states. A mode is a
+Points are on an ellipsoid of 60 x 40 x 30 mm half axes, seen in two states. A mode is a
 displacement field that is a polynomial of the position, seen along the normals; it grows
 with the load of the state as a power that differs from mode to mode.
 """
@@ -154,7 +154,7 @@ def observed(problem, rng, signal=0.0):
 
 
 def signal_of(sensitivity, rng):
-    """What an effect with parameters from its prior adds to the residual."""
+    """The residual of an effect with parameters drawn from its prior."""
     phi = sensitivity.prior_sd * rng.standard_normal(len(sensitivity.prior_sd))
     phi = np.where(sensitivity.one_sided, np.abs(phi), phi)
     return -sensitivity.places[rng.integers(len(sensitivity.places))] @ phi

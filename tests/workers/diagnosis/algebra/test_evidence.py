@@ -37,7 +37,7 @@ def test_equals_the_normal_density():
     assert log_evidence(problem) == pytest.approx(dense_log_density(problem), abs=1e-8)
 
 
-def test_does_not_depend_on_where_it_is_expanded():
+def test_does_not_depend_on_the_expansion_point():
     problem = observed(nominal_problem(), np.random.default_rng(4))
     sided = np.array([False, True, True])
     there = moved(problem, np.array([0.3, 1.7, 0.4]))
@@ -66,7 +66,7 @@ def test_one_sided_parameter_against_an_integral(strength):
 @pytest.mark.parametrize("strength", [-2.0, 0.0, 0.4, 2.0])
 @pytest.mark.parametrize(("bound", "inward"), [(0.3, -1), (-0.3, 1)])
 def test_a_parameter_at_its_bound_against_an_integral(strength, bound, inward):
-    """What lies beyond a bound at which a fit was stopped does not count, near it or far off."""
+    """Values beyond a bound at which a fit stopped do not count, near it or far off."""
     shape, sd = mode(60, (2, 0, 0), 1, 1.5), 0.7
     problem = observed(nominal_problem(), np.random.default_rng(5), -strength * shape)
     within = sorted([bound, bound + inward * 6.0])
@@ -122,7 +122,7 @@ def test_orthant_keeps_far_tails():
 
 
 @pytest.mark.parametrize("sided", [(), (1,), (0, 3)])
-def test_a_stack_is_weighed_as_each_of_it(sided):
+def test_a_stack_equals_its_elements(sided):
     """Twelve misfits of five parameters, with one-sided ones in any place."""
     rng = np.random.default_rng(8)
     A, rho = rng.standard_normal((3, 4, 9, 5)), rng.standard_normal((3, 4, 9))

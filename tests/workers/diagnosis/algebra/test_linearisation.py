@@ -40,7 +40,7 @@ def test_converged_fit_needs_no_projection():
     assert there.efficient_residual == pytest.approx(problem.efficient_residual, abs=1e-10)
 
 
-def test_wrong_input_is_named():
+def test_rejects_invalid_input():
     good = nominal_problem()
     with pytest.raises(InputError, match=r"nominal must be .*\(120, 3\)"):
         replace(good, nominal=good.nominal[:, :2])

@@ -1,4 +1,4 @@
-"""A body whose truth is known: the same model made the scans."""
+"""Fits to a body with a known truth: the same model made the scans."""
 
 from dataclasses import replace
 
@@ -100,7 +100,7 @@ def analysed(inverse: InverseProblem, nominal: SolvedFit, effects: list[Effect])
     return NominalAnalysis(inverse, nominal, sensitivities)
 
 
-def test_derivatives_are_those_of_the_residual() -> None:
+def test_derivatives_match_the_residual() -> None:
     inverse = problem_between_plates()
     free = unknowns(FREE, [TILT])
     z = np.array([np.log(0.009), np.log(0.03), 0.5, -0.3])
@@ -120,7 +120,7 @@ def test_derivatives_are_those_of_the_residual() -> None:
         assert np.abs(found[:, i] - expected).max() < 2e-2 * np.abs(expected).max()
 
 
-def test_constants_are_found_where_nothing_is_missing() -> None:
+def test_recovers_constants_without_a_missing_effect() -> None:
     inverse = problem_between_plates()
     free = unknowns(FREE, [])
     found = fit(inverse, free, free.mean, [None, None])
@@ -149,7 +149,7 @@ def lying_elsewhere(inverse: InverseProblem, shift_mm: FloatArray) -> InversePro
     return replace(inverse, scans=scans, learnt=learnt, covariance=learnt.covariance)
 
 
-def test_scans_are_compared_where_they_lie() -> None:
+def test_scans_are_compared_at_their_poses() -> None:
     """By 1.2 mm: distances there are wrong by 0.3 mm, but nothing is read there."""
     shift_mm = np.array([1.2, 0.0, -0.5])
     inverse = lying_elsewhere(problem_between_plates(), shift_mm)
@@ -197,7 +197,7 @@ def cost(inverse: InverseProblem, free: Unknowns, z: FloatArray, near: SolvedFit
     return float(white @ noise.cleared(white) + (((z - free.mean) / free.sd) ** 2).sum())
 
 
-def test_a_fit_ends_where_no_neighbour_is_better() -> None:
+def test_a_fit_ends_at_a_local_optimum() -> None:
     """Poses take a part of every change, and a rough interface points elsewhere a mm on."""
     shift_mm = np.array([0.6, 0.0, -0.4])
     inverse = drawn_roughly(lying_elsewhere(problem_between_plates(), shift_mm))
@@ -242,7 +242,7 @@ def test_friction_is_found_along_the_path() -> None:
     assert again.fit.values()["friction"] == pytest.approx(0.3, abs=0.03)
 
 
-def test_some_points_may_be_left_out() -> None:
+def test_accepts_a_subset_of_points() -> None:
     inverse = problem_between_plates()
     which = np.zeros(len(inverse.points), bool)
     which[::3] = True

@@ -1,4 +1,4 @@
-"""How long the steps of a fit are, and when it says that it has converged."""
+"""Step lengths of a fit, and its convergence."""
 
 from collections.abc import Callable
 
@@ -22,7 +22,7 @@ def fitted(
     step: Callable[[float], float],
     expected: float,
 ) -> tuple[gauss_newton.SolvedFit, list[float]]:
-    """A fit from 1, whose costs and steps are these; and where it was tried."""
+    """A fit from 1 with given costs and steps, and the values tried."""
     tried: list[float] = []
 
     def predict(inverse: object, u: Unknowns, z: FloatArray, *rest: object) -> tuple[object, ...]:
@@ -46,7 +46,7 @@ def fitted(
     return found, tried
 
 
-def test_a_line_search_begins_near_the_length_that_went_well(
+def test_line_search_starts_near_the_last_length(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Steps are ten times too long: 0.16 of one is the first to lower a parabola."""
@@ -62,7 +62,7 @@ def test_a_line_search_begins_near_the_length_that_went_well(
     assert found.cost < SETTINGS.fit.tolerance
 
 
-def test_a_step_goes_further_after_one_that_was_underrated(
+def test_steps_lengthen_after_an_underrated_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Falls of 0.6 where 0.2 were expected: the next step is twice as long. Where falls are what
@@ -73,7 +73,7 @@ def test_a_step_goes_further_after_one_that_was_underrated(
     assert tried[:4] == pytest.approx([1.0, 0.8, 0.6, 0.4])
 
 
-def test_a_fit_that_crawls_has_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_crawling_fit_has_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
     """The cost falls by a hundredth where ten were expected."""
     found, tried = fitted(monkeypatch, lambda z: 0.01 * z, lambda z: -1.0, expected=10.0)
     assert tried == [1.0, 0.0]

@@ -1,4 +1,4 @@
-"""The curvature that Gauss and Newton leave out, learnt from the steps of a fit."""
+"""The curvature that Gauss-Newton neglects, learnt from the steps of a fit."""
 
 import numpy as np
 import pytest
@@ -69,15 +69,15 @@ def test_a_fit_with_large_residuals_converges(monkeypatch, seed):
     assert found.iterations <= 20
 
 
-def test_gauss_and_newton_alone_crawl(monkeypatch):
-    """The same fits without what is learnt end further off."""
+def test_plain_gauss_newton_crawls(monkeypatch):
+    """The same fits without the secant term end farther from the optimum."""
     with_it = [fitted(monkeypatch, Bent(seed)) for seed in range(5)]
     monkeypatch.setattr(SecantCurvature, "renewed", lambda self, now: self)
     without = [fitted(monkeypatch, Bent(seed)) for seed in range(5)]
     assert sum(f.cost for f in without) > sum(f.cost for f in with_it) + 1.0
 
 
-def test_the_last_step_is_explained():
+def test_secant_condition_holds():
     """The secant condition: along the step the gradient changes as it did."""
     bent = Bent(7)
     x, step = np.array([0.3, -0.2, 0.1, 0.2]), np.array([0.05, 0.02, -0.04, 0.01])
@@ -91,7 +91,7 @@ def test_the_last_step_is_explained():
     assert step @ learnt.missing @ step == pytest.approx(step @ bent.missing(x) @ step, rel=0.01)
 
 
-def test_it_is_used_where_it_would_have_told_the_last_step_better():
+def test_secant_term_is_used_if_it_predicts_better():
     bent = Bent(8)
     x, step = np.array([0.3, -0.2, 0.1, 0.2]), np.array([0.05, 0.02, -0.04, 0.01])
     first = SecantCurvature.unknown(P).stepped(bent.model(x), step, 1.0)
@@ -112,7 +112,7 @@ def test_the_curvature_stays_positive():
     assert np.array_equal(SecantCurvature(saddle.missing).curvature(model), model.curvature)
 
 
-def test_nothing_is_learnt_where_derivatives_are_not_known():
+def test_no_update_without_derivatives():
     model = Bent(10).model(np.zeros(P))
     kept = SecantCurvature.unknown(P).stepped(model, np.ones(P), 1.0).forgotten()
     assert not kept.renewed(model).is_known

@@ -70,7 +70,7 @@ def problem():
     return observed(nominal_problem(K), rng, field_draw(K, rng))
 
 
-def test_covariance_is_that_of_a_displacement_field():
+def test_covariance_matches_a_displacement_field():
     """Draw the three components of the field at the points and look along the normals."""
     points, normals, states = layout(12)
     rng = np.random.default_rng(22)
@@ -201,7 +201,7 @@ def test_misstated_noise_is_learnt(scales):
     assert np.mean([s.scales for s in found], axis=0) == pytest.approx(scales, rel=0.05)
 
 
-def test_a_strong_effect_does_not_read_as_noise():
+def test_a_strong_effect_is_not_learnt_as_noise():
     """1 mm of a smooth effect with noise of 0.25 mm."""
     rng = np.random.default_rng(63)
     parts = parts_of(nominal_problem(K))
@@ -225,7 +225,7 @@ def test_a_pose_is_no_evidence():
     assert NoiseModel(parts, states, fields).field_gain(at) < 0
 
 
-def test_states_that_are_hopeless_are_left_out():
+def test_unlikely_states_are_omitted():
     rng = np.random.default_rng(65)
     parts = parts_of(nominal_problem(K))
     found = learnt(parts, drawn(parts, (1.0, 1.0), rng))
@@ -234,7 +234,7 @@ def test_states_that_are_hopeless_are_left_out():
     assert logsumexp([s.log_weight for s in found]) == pytest.approx(0.0)
 
 
-def test_wrong_input_is_named():
+def test_rejects_invalid_input():
     parts = parts_of(nominal_problem(K))
     with pytest.raises(InputError, match="The noise of 300 residuals"):
         replace(parts, fixed=parts.fixed[1:])

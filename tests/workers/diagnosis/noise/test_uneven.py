@@ -64,7 +64,7 @@ def learnt_slopes(parts, residual):
         pytest.param(2.0, (-0.2, 0.1, 0.0), marks=pytest.mark.slow),
     ],
 )
-def test_slopes_are_learnt_whatever_is_stated(scale, slopes):
+def test_learns_slopes_for_any_stated_noise(scale, slopes):
     """Mean over six bodies within 0.05."""
     rng = np.random.default_rng(71)
     parts = even_parts()
@@ -73,7 +73,7 @@ def test_slopes_are_learnt_whatever_is_stated(scale, slopes):
     assert np.mean(found, axis=0) == pytest.approx(slopes, abs=0.05)
 
 
-def test_a_smooth_effect_at_one_end_does_not_read_as_noise():
+def test_a_smooth_effect_at_one_end_is_not_learnt_as_noise():
     """2 mm of something that grows along z, with noise of a quarter of a millimetre."""
     rng = np.random.default_rng(72)
     parts = even_parts()

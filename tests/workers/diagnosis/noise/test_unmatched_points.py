@@ -1,4 +1,4 @@
-"""Points that one scan does not show are found; what moves a body smoothly is none of them."""
+"""Points missing in one scan are found; smooth motion of a body is not mistaken for them."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def scanned(seed, noise=1.0, gap_mm=0.0):
 
 
 @pytest.mark.parametrize("noise", [0.5, 1.0, 2.0], ids="noise of {} times what is stated".format)
-def test_only_missing_pieces_are_left_out(noise):
+def test_only_missing_pieces_are_unmatched(noise):
     for seed in range(3):
         residual = scanned(seed, noise)
         assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
@@ -43,7 +43,7 @@ def test_only_missing_pieces_are_left_out(noise):
         np.testing.assert_array_equal(np.flatnonzero(~shown), PIECE)
 
 
-def test_a_gap_of_millimetres_is_not_taken_for_them():
+def test_a_gap_of_millimetres_is_not_unmatched():
     for gap_mm in (0.5, 2.0, 4.0):
         residual = scanned(5, gap_mm=gap_mm)
         assert np.abs(residual).max() > 2.4 * gap_mm
@@ -53,7 +53,7 @@ def test_a_gap_of_millimetres_is_not_taken_for_them():
         np.testing.assert_array_equal(np.flatnonzero(~shown), PIECE[:1])
 
 
-def test_what_lies_beside_them_is_left_out_too():
+def test_points_near_missing_pieces_are_unmatched():
     points, _ = ellipsoid(K)
     away = np.linalg.norm(points - points[PIECE[0]], axis=1)
     beside = np.flatnonzero((away > 0) & (away < BESIDE_MM))
@@ -65,7 +65,7 @@ def test_what_lies_beside_them_is_left_out_too():
     assert set(np.flatnonzero(~shown)) == {PIECE[0], *beside.tolist()}
 
 
-def test_neighbours_that_are_off_together_in_all_scans_are_left_out():
+def test_neighbours_off_together_in_all_scans_are_unmatched():
     """As where the scan at rest has a piece of tissue that is none: each lies five to six
     deviations off what is around it, as a single point and scan may, and all of them together
     may not."""
@@ -85,15 +85,15 @@ def test_neighbours_that_are_off_together_in_all_scans_are_left_out():
         assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
 
 
-def test_where_much_is_far_off_that_is_no_error_of_drawing():
+def test_many_outliers_are_no_segmentation_error():
     residual = scanned(2)
     many = np.random.default_rng(1).choice(K, K // 8, replace=False)
     residual[many] += 8.0
     assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
 
 
-def test_a_piece_that_is_missing_whole_is_left_out_whole():
-    """It lies by itself, so a smooth displacement could carry all of it away."""
+def test_a_wholly_missing_piece_is_unmatched():
+    """It is isolated, so a smooth displacement could explain all of it."""
     around, _ = ellipsoid(K)
     piece = np.argsort(np.linalg.norm(around - around[222], axis=1))[:4]
     part = np.zeros(K, np.int32)
@@ -107,7 +107,7 @@ def test_a_piece_that_is_missing_whole_is_left_out_whole():
         np.testing.assert_array_equal(np.flatnonzero(~shown), np.sort(piece))
 
 
-def test_a_few_points_where_no_others_are_near_are_left_out_too():
+def test_isolated_outliers_are_unmatched():
     """Two neighbours within a hole of 16 mm around them: a free displacement follows them."""
     points, _ = ellipsoid(K)
     away = np.linalg.norm(points - points[PIECE[0]], axis=1)

@@ -10,7 +10,7 @@ from palpate.workers.organs.specimen.block import block
 SIZE_MM = (30.0, 20.0, 60.0)
 
 
-def test_edges_of_a_block_and_where_they_go() -> None:
+def test_edges_of_a_block_at_rest_and_deformed() -> None:
     mesh = block(SIZE_MM, 1000).finest.mesh
     moved = mesh.nodes * [0.0, 0.1, -0.2]
     found = edge_arrays(

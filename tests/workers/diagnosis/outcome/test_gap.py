@@ -52,7 +52,7 @@ def test_excess_is_unbiased(train, judge, size):
 
 
 def test_plain_excess_over_noise_would_be_too_small():
-    """What fitting takes of the noise is not small: without the penalty the bias shows."""
+    """The noise absorbed by the fit is not small: without the penalty there is a bias."""
     rng = np.random.default_rng(32)
     plain, penalised = [], []
     for _ in range(REPLICATES):
@@ -76,7 +76,7 @@ def test_interval_covers(train, judge):
     assert np.mean(held) == pytest.approx(0.9, abs=0.05)
 
 
-def test_spread_is_as_stated():
+def test_standard_deviation_matches_simulation():
     """Standard deviation of the mean square: the formula, with the true mean, by simulation."""
     problem, truth = nominal_problem(), known_gap()
     fit = LinearFit(problem)
@@ -88,7 +88,7 @@ def test_spread_is_as_stated():
 
 
 @pytest.mark.parametrize("train", [None, LOW])
-def test_noise_after_a_fit_is_that_of_a_dense_map(train):
+def test_noise_after_a_fit_equals_a_dense_map(train):
     """(I + F) C (I + F)', with F found by fitting unit residuals one by one."""
     problem = nominal_problem()
     fit = LinearFit(problem, train)
@@ -162,7 +162,7 @@ def test_the_floor_is_in_the_gap_and_in_its_interval():
     assert found.high_mm == pytest.approx(np.hypot(np.sqrt(high), most * 0.08), rel=1e-4)
 
 
-def test_a_right_model_is_not_charged_with_chance():
+def test_true_model_gap_is_close_to_the_floor():
     """Nothing is missing but the floor: the gap is nearer to it than what noise alone leaves."""
     rng = np.random.default_rng(46)
     fits = [LinearFit(observed(nominal_problem(), rng)) for _ in range(60)]
@@ -202,7 +202,7 @@ def test_shrinkage_and_its_interval(train, judge):
     assert np.mean(widths) < 4.5 * np.std(errors)
 
 
-def test_unseen_shrinkage_is_that_of_fits_that_never_saw_their_judge():
+def test_held_out_shrinkage_is_unbiased_and_covered():
     """Against the noise-free gaps that the two left-out fits really leave: unbiased, covered."""
     rng = np.random.default_rng(41)
     truth, errors, held = known_gap(), [], []
@@ -245,7 +245,7 @@ def test_a_small_gap_and_its_share_are_found_although_too_much_noise_is_stated(s
     assert np.mean(shares) > least
 
 
-def test_unseen_shrinkage_pools_what_single_states_say():
+def test_held_out_shrinkage_pools_single_states():
     nominal, effect = both(np.random.default_rng(42))
     whole = Comparison(nominal, effect, 1, floor_mm=0.1).unseen(STATE)[0]
     compared = Comparison(nominal, effect, 1)
@@ -256,7 +256,7 @@ def test_unseen_shrinkage_pools_what_single_states_say():
     assert whole.share == pytest.approx(less / whole.before.gap_mm**2, rel=1e-10)
 
 
-def test_a_state_that_the_others_do_not_hold_is_not_judged():
+def test_unconstrained_states_are_not_assessed():
     """An effect that only one state shows, and there a hundred times louder."""
     noise = nominal_problem().covariance_factor @ np.random.default_rng(46).standard_normal(120)
     nominal = replace(nominal_problem(), residual=known_gap() + noise)
@@ -275,7 +275,7 @@ def test_a_state_that_the_others_do_not_hold_is_not_judged():
     assert Comparison(nominal, each, 1, draws=20).unseen(STATE) == (None, [None, None])
 
 
-def test_no_share_is_claimed_of_a_gap_that_may_not_be_there():
+def test_no_share_if_there_may_be_no_gap():
     gaps = [GapEstimate(mm, 0.8 * mm, 1.2 * mm, 0.25, 800) for mm in (0.15, 0.08)]
     share = ShareEstimate(0.7, 0.4, 0.9)
     whole = GapSummary(gaps[0], 0.25, 0.06, gaps[1], *gaps, share=share, held_out_share=share)
@@ -306,7 +306,7 @@ def test_shrinkage_is_the_same_for_the_same_seed():
     )
 
 
-def test_without_a_gap_there_is_nothing_to_shrink():
+def test_no_shrinkage_without_a_gap():
     nominal = nominal_problem()
     effect = nominal.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
     found = Comparison(nominal, effect, 1).shrinkage()
@@ -315,7 +315,7 @@ def test_without_a_gap_there_is_nothing_to_shrink():
 
 
 def scans_that_are_turned(rng):
-    """Fits to scans that lie anywhere, without an effect that looks like a turn, and with it."""
+    """Fits to scans with free poses, without and with an effect that resembles a rotation."""
     points, normals, states = layout(60)
     rigid = rigid_columns(points, normals, (0.0, 0.0, 0.0)) * np.repeat([0.3, 0.3], 3)
     poses = np.hstack([rigid * (states == s)[:, None] for s in (0, 1)])
@@ -333,7 +333,7 @@ def scans_that_are_turned(rng):
 LIKE_A_TURN = 16.0
 
 
-def test_scans_lie_where_the_best_fit_puts_them():
+def test_scan_poses_come_from_the_best_fit():
     """The model without the effect would turn the scans, and its gap be too small."""
     rng = np.random.default_rng(45)
     found, by_itself, true, kept_out = [], [], [], []
@@ -352,7 +352,7 @@ def test_scans_lie_where_the_best_fit_puts_them():
     assert np.median(kept_out) > 0.8
 
 
-def test_wrong_input_is_named():
+def test_rejects_invalid_input():
     problem = nominal_problem()
     with pytest.raises(InputError, match="train must mark some of 120"):
         LinearFit(problem, np.zeros(120, dtype=bool))

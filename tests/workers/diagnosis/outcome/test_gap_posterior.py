@@ -47,7 +47,7 @@ class LinearFit:
 
 
 def analysis_of(nominal):
-    """What `draw_gaps` asks of an analysis; forms have no error here."""
+    """An analysis as far as `draw_gaps` uses it, without errors of form."""
     noise = known_noise_model(K, 1e-2)
     fields = [white.columns for white in noise._fields[0]]
     factor = noise._factors[0]
@@ -63,7 +63,7 @@ def analysis_of(nominal):
 
 
 def truth_of(kind, rng):
-    """What acts beside the constants, as residuals."""
+    """The true effects apart from the constants, as residuals."""
     if kind == "tilt":
         return signal_of(TILT, rng)
     return field_draw(K, rng) if kind == "field" else np.zeros(2 * K)
@@ -84,8 +84,8 @@ def rms(values):
 
 
 @pytest.mark.parametrize("kind", ["nothing", "tilt", "field"])
-def test_true_gaps_lie_in_their_intervals(kind):
-    """Whatever acts, nine in ten of the distances between model and body are held."""
+def test_intervals_cover_true_gaps(kind):
+    """For any cause, 90 % of the distances between model and body are covered."""
     rng = np.random.default_rng(5)
     problem, held, held_after, errors = nominal_problem(K), [], [], []
     for _ in range(60):
@@ -107,7 +107,7 @@ def test_true_gaps_lie_in_their_intervals(kind):
     assert abs(np.mean(errors)) < 0.03
 
 
-def test_a_cause_that_is_doubted_does_not_lend_its_share():
+def test_uncertain_causes_contribute_by_probability():
     """Half a tilt and half something else: less of the gap is taken away than a sure tilt takes."""
     rng = np.random.default_rng(8)
     problem = observed(nominal_problem(K), rng, signal_of(TILT, rng))
@@ -151,7 +151,7 @@ def test_draws_are_the_same_each_time_and_floors_widen_them():
 
 
 @pytest.mark.parametrize(("side", "edge"), [(1, 0.0), (-1, 0.4)])
-def test_a_bound_moves_all_that_is_known_together_with_what_meets_it(side, edge):
+def test_a_bound_moves_correlated_parameters(side, edge):
     """Two parameters of which scans know the sum alone: it stays, whichever is cut at its edge."""
     covariance = np.array([[1.0, -0.99], [-0.99, 1.0]])
     rng = np.random.default_rng(11)

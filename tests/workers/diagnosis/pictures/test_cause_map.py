@@ -41,7 +41,7 @@ def draws(count):
     ).T
 
 
-def test_scores_of_noise_are_unit_normal_and_their_largest_is_as_announced():
+def test_scores_of_noise_are_unit_normal_with_the_stated_maximum():
     found = [cause_map(world(residual), lump(), PLACES) for residual in draws(400)]
     z = np.array([one.z for one in found])
     assert abs(z.mean()) < 0.1
@@ -52,7 +52,7 @@ def test_scores_of_noise_are_unit_normal_and_their_largest_is_as_announced():
     assert 0.02 < (np.abs(z).max(axis=1) > level).mean() < 0.09
 
 
-def test_a_stiff_spot_is_found_where_it_is_and_a_soft_one_has_the_other_sign():
+def test_locates_stiff_and_soft_spots_by_sign():
     for sign in (1, -1):
         residual = -sign * 2.4 * lump().columns[3, :, 0] + draws(1)[0]
         found = cause_map(world(residual), lump(), PLACES)
@@ -75,7 +75,7 @@ def test_the_map_agrees_with_the_screening_of_the_best_place():
     assert found.z[at] ** 2 * information / (1 + information) == pytest.approx(result.score)
 
 
-def test_what_an_effect_has_taken_up_is_gone_from_the_map():
+def test_an_explained_spot_disappears_from_the_map():
     column = lump().columns[2]
     problem = world(-2.4 * column[:, 0] + draws(1)[0])
     before = cause_map(problem, lump(), PLACES)
@@ -98,7 +98,7 @@ def scored(places, z, seen):
     return CauseMap(np.array(places), np.array(z), np.zeros(g), np.ones(g), np.array(seen), 3.0)
 
 
-def test_voxels_are_exact_at_places_and_empty_where_nothing_is_known():
+def test_voxels_are_exact_at_places_and_empty_elsewhere():
     """Places at 1 and 9 mm in a body from 0 to 20 mm; voxels of 2 mm."""
     body = Volume(np.ones((2, 2, 20), np.uint8), (1.0, 1.0, 1.0), (0.5, 0.5, 0.5))
     places = [[1.0, 1.0, 1.0], [9.0, 1.0, 1.0], [17.0, 1.0, 1.0]]
@@ -124,7 +124,7 @@ def test_voxels_outside_of_the_body_and_far_from_places_are_empty():
     assert np.isnan(drawn[28:]).all()
 
 
-def test_what_makes_no_sense_is_refused():
+def test_rejects_invalid_values():
     two = EffectSensitivity("two", "local", np.ones((5, M, 2)), np.ones(2), np.zeros(2, bool))
     with pytest.raises(InputError, match="one parameter"):
         cause_map(world(np.zeros(M)), two, PLACES)

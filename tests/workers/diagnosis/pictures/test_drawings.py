@@ -1,4 +1,4 @@
-"""Arrays for the eye: they fit together, and the store keeps them."""
+"""Arrays for pictures are consistent, and are kept in the store."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_labels_of_a_scan_share_a_box_and_a_frame():
     np.testing.assert_array_equal(found["labels_0_frame"], frame(observed))
 
 
-def test_shapes_are_those_of_the_interfaces():
+def test_shapes_match_the_interfaces():
     found = shapes(egg(), (OUTLINE, GLANDULAR))
     for name, half in (("outline", 24.0), ("glandular", 14.4)):
         vertices = found[f"shape_{name}_vertices"]
@@ -53,7 +53,7 @@ def test_shapes_are_those_of_the_interfaces():
         assert found[f"shape_{name}_triangles"].max() == len(vertices) - 1
 
 
-def test_rows_of_overlap_have_both_models_and_leave_out_what_has_no_points(points):
+def test_overlap_rows_have_both_models_and_omit_empty_interfaces(points):
     observed = egg(3.0)
     predicted = {"before": [egg()], "after": [observed]}
     areas = [one.interface_mm2 for one in observe(observed, (OUTLINE, GLANDULAR)).distances]
@@ -119,7 +119,7 @@ def test_causes_and_their_record_name_the_same_place(tmp_path):
     arrays = causes({"before": found}, egg())
     spacing, origin = arrays["cause_frame"]
     x, y, z = np.rint((places[2] - origin) / spacing).astype(int)
-    # The centre of the voxel lies within a millimetre of the place on every axis.
+    # The centre of the voxel is within a millimetre of the place on every axis.
     assert arrays["cause_before"][z, y, x] == pytest.approx(-5.0, abs=1.5)
     save_arrays(tmp_path / "maps.zarr", arrays)
     kept, _ = load_arrays(tmp_path / "maps.zarr")

@@ -1,4 +1,4 @@
-"""Averages over a neighbourhood: what is constant stays, and noise falls as the weights say."""
+"""Averages over a neighbourhood keep constants and reduce noise according to the weights."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_independent_noise_falls_by_the_length_and_common_noise_does_not():
     np.testing.assert_allclose(common, 0.3, rtol=1e-12)
 
 
-def test_the_standard_deviation_is_that_of_draws():
+def test_standard_deviation_matches_draws():
     rng = np.random.default_rng(2)
     root = rng.standard_normal((2 * K, 2 * K)) / 10
     drawn = (root @ rng.standard_normal((2 * K, 3000))).T.reshape(-1, 2, K)
@@ -48,7 +48,7 @@ def test_interfaces_and_opposite_sides_do_not_mix():
     assert np.abs(mixed[0, 10:-10]).max() < 0.01
 
 
-def test_what_makes_no_sense_is_refused():
+def test_rejects_invalid_values():
     with pytest.raises(InputError, match="covariance"):
         local_mean(POINTS, UP, ONE, np.zeros((2, K)), np.eye(K))
     with pytest.raises(InputError, match="length > 0"):

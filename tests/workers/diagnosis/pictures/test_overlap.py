@@ -42,7 +42,7 @@ def box_mesh():
     return TetMesh(corners.astype(float), tets)
 
 
-def test_a_body_that_is_stretched_as_it_was_seen_overlaps_wholly():
+def test_a_correct_prediction_overlaps_fully():
     mesh, observed = box_mesh(), cuboid(stretch=(2, 1, 3))
     displacement = mesh.nodes * np.array([1.0, 0.0, 2.0])
     found = overlaps(predict(cuboid(), mesh, displacement, observed), observed)
@@ -51,7 +51,7 @@ def test_a_body_that_is_stretched_as_it_was_seen_overlaps_wholly():
         assert (score.jc, score.dice, score.mhd_mm, score.gsf) == (1.0, 1.0, 0.0, -np.inf)
 
 
-def test_a_body_that_is_shifted_overlaps_by_the_share_of_its_length():
+def test_a_shifted_body_overlaps_by_its_share_of_length():
     mesh, observed = box_mesh(), cuboid(shift=(3, 0, 0))
     found = overlaps(predict(cuboid(), mesh, np.zeros_like(mesh.nodes), observed), observed)
     for name, length in (("outline", 24), ("glandular", 12)):
@@ -74,8 +74,8 @@ def test_nothing_is_predicted_below_the_slices_of_a_scan(slices):
     assert overlaps(found, scan)["outline"].jc == 1.0
 
 
-def test_the_jc_that_noise_leaves():
-    """Two drawings of one ball differ as much as the area and the noise say."""
+def test_reachable_jc_matches_noisy_balls():
+    """Two segmentations of one ball differ by the amount expected from area and noise."""
     z, y, x = np.mgrid[-36:37, -36:37, -36:37]
     r = np.sqrt(x**2 + y**2 + z**2)
     # The noise of the gland is independent of that of the outline.
@@ -94,7 +94,7 @@ def test_the_jc_that_noise_leaves():
     assert reachable_jc(second, GLANDULAR, gland, np.full(3, 100.0)) == 0.0
 
 
-def test_percentiles_are_those_of_one_interface():
+def test_percentiles_use_one_interface():
     residual = np.array([-0.4, 9.0, 0.1, 0.2, -0.3, 9.0])
     interface = np.array([0, 1, 0, 0, 0, 1], np.int32)
     found = distances(residual, interface, 0)
@@ -119,7 +119,7 @@ def test_bodies_in_one_box_keep_their_places():
     np.testing.assert_array_equal(box[1, 0], [[0, 0, 2, 2], [0, 0, 0, 0]])
 
 
-def test_what_makes_no_sense_is_refused():
+def test_rejects_invalid_values():
     observed = cuboid()
     with pytest.raises(InputError, match="one lattice"):
         on_one_box([observed, cuboid(shift=(0.3, 0, 0))])

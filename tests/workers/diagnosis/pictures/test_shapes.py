@@ -30,7 +30,7 @@ def test_a_coarse_ball_is_nearly_as_large_and_much_lighter(ball):
         drawn = shape(ball, (Tissue.FAT,), edge_mm)
         errors.append(abs(volume_of(drawn) / true - 1))
         counts.append(len(drawn.triangles))
-    # A chord lies inside its arc by the square of its length.
+    # A chord is inside its arc by the square of its length.
     assert errors[2] < errors[1] < errors[0] < 0.08
     assert errors[1] < 0.03
     assert counts[0] < 500
@@ -45,14 +45,14 @@ def test_no_edge_is_open(ball):
     assert times.min() == 2
 
 
-def test_every_triangle_looks_outwards(ball):
+def test_triangles_face_outwards(ball):
     drawn = shape(ball, (Tissue.FAT,))
     a, b, c = (drawn.vertices[drawn.triangles[:, i]] for i in range(3))
     outwards = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1)
     assert (outwards > 0).all()
 
 
-def test_what_makes_no_sense_is_refused(ball):
+def test_rejects_invalid_values(ball):
     with pytest.raises(InputError, match="edge > 0"):
         shape(ball, (Tissue.FAT,), 0.0)
     with pytest.raises(InputError, match="shorter edge"):

@@ -1,4 +1,4 @@
-"""What scans can tell before they are made, where that is known beforehand."""
+"""Expected information of planned scans, against known answers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -75,7 +75,7 @@ def world(folder: Path, pressed: list[dict], which: list[int], springs: bool = T
 
 @pytest.fixture(scope="module")
 def sliding(tmp_path_factory: pytest.TempPathFactory) -> World:
-    """Two forces on a body that nothing but moduli and force hold in balance, and a view."""
+    """Two forces on a body balanced only by moduli and force, and a view."""
     folder = tmp_path_factory.mktemp("planned") / "case"
     return world(folder, [at_force(6), at_force(18)], [LOW, HIGH, 4], springs=False)
 
@@ -93,7 +93,7 @@ def row(world_: World, design: Design, name: str):
 # What one scan will show
 
 
-def test_normals_follow_an_even_stretch_and_turn(sliding: World) -> None:
+def test_normals_follow_uniform_stretch_and_rotation(sliding: World) -> None:
     """Nanson: n' ~ F^-T n, exactly, where F is the same everywhere."""
     unloaded, _, _ = sliding
     F = np.array([[1.2, 0.3, 0.0], [-0.1, 0.8, 0.2], [0.0, 0.1, 1.1]])
@@ -103,8 +103,8 @@ def test_normals_follow_an_even_stretch_and_turn(sliding: World) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
-def test_the_row_of_the_plates_is_the_travel_of_the_solver(sliding: World) -> None:
-    """By differences of whole simulations; plates also press a little into the penalty."""
+def test_plate_row_equals_the_solver_travel(sliding: World) -> None:
+    """By differences of whole simulations; plates also penetrate slightly due to the penalty."""
     unloaded, states, found = sliding
     middle = {f.name: float(np.exp(f.log_mean)) for f in unloaded.free}
     for column, name in enumerate(middle):
@@ -116,7 +116,7 @@ def test_the_row_of_the_plates_is_the_travel_of_the_solver(sliding: World) -> No
         assert found[HIGH].nominal[-1, column] == pytest.approx(expected, rel=0.03)
 
 
-def test_what_acts_on_images_leaves_the_plates_alone(sliding: World) -> None:
+def test_effects_on_images_do_not_change_the_plate_row(sliding: World) -> None:
     columns = sliding[2][LOW].columns["rigid_motion"]
     assert (columns[-1] == 0).all()
     assert (np.abs(columns[:-1]).max(axis=0) > 0.5).any()
@@ -125,8 +125,8 @@ def test_what_acts_on_images_leaves_the_plates_alone(sliding: World) -> None:
 # What is known to hide, and what frees it
 
 
-def test_a_share_of_the_force_is_another_choice_of_moduli(sliding: World) -> None:
-    """Where only moduli resist, F and E enter as F / E: column of F = -sum of those of E.
+def test_force_is_equivalent_to_a_change_of_moduli(sliding: World) -> None:
+    """If only moduli resist, F and E enter as F / E: column of F = -sum of the columns of E.
 
     The penalty of the plates, a stiffness of its own, is felt a little.
     """
@@ -140,14 +140,14 @@ def test_a_share_of_the_force_is_another_choice_of_moduli(sliding: World) -> Non
     "design",
     [Design((LOW,)), Design((LOW, HIGH)), Design((LOW, HIGH, 4)), Design((LOW, HIGH), plates=True)],
 )
-def test_the_force_stays_hidden_whatever_is_imaged(sliding: World, design: Design) -> None:
+def test_force_is_hidden_in_every_design(sliding: World, design: Design) -> None:
     assert row(sliding, design, "plate_force").absorbed > 0.99
     hidden = dict(zip(chance(sliding, design).names, chance(sliding, design).hidden, strict=True))
     assert hidden["plate_force"]
 
 
 @pytest.mark.parametrize("known", [None, 0])
-def test_only_what_is_known_of_moduli_bounds_the_force(sliding: World, known: int | None) -> None:
+def test_force_is_bounded_only_by_known_moduli(sliding: World, known: int | None) -> None:
     """Images fix F / E and no more: ln F is known as well as the ln E are together.
 
     Its information is the sum of theirs, 1 / sd^2 each, with that of a measurement to 10 %;
@@ -164,7 +164,7 @@ def test_a_second_load_shows_stiffening(sliding: World) -> None:
     assert two < 0.4 * one
 
 
-def test_more_is_never_less(sliding: World) -> None:
+def test_more_data_never_lower_the_information(sliding: World) -> None:
     """Every minimum falls or stays, every expected log evidence grows or stays."""
     before = chance(sliding, Design((LOW,)))
     for more in (
@@ -181,7 +181,7 @@ def test_more_is_never_less(sliding: World) -> None:
         assert (after.separation >= before.separation * (1 - 1e-6) - 1e-6).all()
 
 
-def test_drawing_four_times_halves_what_the_drawing_adds(sliding: World) -> None:
+def test_four_segmentations_halve_their_noise(sliding: World) -> None:
     unloaded, _, found = sliding
     suspects = [effect("plate_tilt")]
     once, often = (
@@ -194,7 +194,7 @@ def test_drawing_four_times_halves_what_the_drawing_adds(sliding: World) -> None
     np.testing.assert_allclose(often - stays, (once - stays) / 4, atol=1e-12)
 
 
-def test_a_body_that_nothing_holds_is_noticed(sliding: World, tmp_path: Path) -> None:
+def test_reports_an_unsupported_body(sliding: World, tmp_path: Path) -> None:
     """A tilt across the breast pushes it out sideways, unless springs hold the chest wall."""
     tilt = [effect("plate_tilt")]
     assert loose([sliding[2][LOW]], tilt) == tilt
@@ -202,7 +202,7 @@ def test_a_body_that_nothing_holds_is_noticed(sliding: World, tmp_path: Path) ->
     assert loose([held[2][LOW]], SUSPECTS) == []
 
 
-def test_what_is_shown_is_not_hidden_by_more(sliding: World) -> None:
+def test_more_data_do_not_hide_a_visible_effect(sliding: World) -> None:
     found = chance(sliding, Design((LOW,)))
     assert "plate_force" in np.array(found.names)[found.hidden]
     loud = replace(found, evidence=np.full(len(found.names), 100.0))
@@ -210,14 +210,14 @@ def test_what_is_shown_is_not_hidden_by_more(sliding: World) -> None:
     assert not replace(loud, shown=frozenset(found.names)).hidden.any()
 
 
-def test_effects_that_do_not_act_are_left_out(sliding: World) -> None:
+def test_omits_effects_that_do_not_act(sliding: World) -> None:
     assert "skin_scaled" not in chance(sliding, Design((LOW,))).names
 
 
 # The record
 
 
-def test_the_plan_ranks_what_could_be_added(sliding: World) -> None:
+def test_plan_ranks_further_measurements(sliding: World) -> None:
     unloaded, states, found = sliding
     told = make_plan("small", unloaded, states, found, SUSPECTS)
     assert told.scans == ("6 N", "18 N")
@@ -242,7 +242,7 @@ def test_the_plan_ranks_what_could_be_added(sliding: World) -> None:
     assert {e.name for e in told.effects if not e.seen} == set(told.silent)
 
 
-def test_plates_at_a_distance_have_no_force_to_doubt(tmp_path: Path) -> None:
+def test_plates_at_a_distance_have_no_force_effect(tmp_path: Path) -> None:
     unloaded, states, found = world(tmp_path / "case", [at_distance(42)], [0])
     told = make_plan("small", unloaded, states, found, SUSPECTS)
     assert "plate_force" in told.without_columns
@@ -259,7 +259,7 @@ NODES_MM = np.array([[-20.0, -30.0, 0.0], [20.0, 30.0, 0.0], [0.0, 0.0, 40.0]])
 DIAGONAL = (0.5**0.5, 0.5**0.5, 0.0)
 
 
-def test_turned_plates_start_at_the_ends_of_the_body() -> None:
+def test_rotated_plates_start_at_the_ends_of_the_body() -> None:
     load = turned_to(ForceControl(10, -31, 31), (1, 0, 0), NODES_MM)
     assert isinstance(load, ForceControl)
     assert (load.lower_mm, load.upper_mm, load.force_n) == (-20, 20, 10)
@@ -279,12 +279,12 @@ def test_a_heavier_load_closes_more() -> None:
     assert (closer.lower_mm, closer.upper_mm) == (-25, 25)
 
 
-def test_the_wall_holds_a_turned_body_as_firmly() -> None:
+def test_wall_holds_a_rotated_body_as_firmly() -> None:
     wall = held_alike(Wall((False, False, True), (2e-4, 1e-6, 0.0)))
     assert wall == Wall((False, False, True), (2e-4, 2e-4, 0.0))
 
 
-def test_a_view_that_is_meant_is_not_proposed(tmp_path: Path) -> None:
+def test_does_not_propose_a_planned_view(tmp_path: Path) -> None:
     along_x = at_force(8) | {"axis": "x", "lower_mm": -45, "upper_mm": 45}
     acquisition = acquisition_of(
         read_case(write_meant(tmp_path / "case", [at_force(8), along_x]), loaded=False)

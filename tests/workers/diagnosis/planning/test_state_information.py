@@ -1,4 +1,4 @@
-"""What states show, and what a further one adds."""
+"""Information of a set of states, and of a further one."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ LOW = layout(60)[2] == 0
 
 
 def of_states(problem, sensitivities, rows):
-    """The problem with some of its residuals, those of one state."""
+    """The problem with the residuals of a subset of states."""
     smaller = Linearised(
         problem.residual[rows],
         problem.nominal[rows],
@@ -32,7 +32,7 @@ def of_states(problem, sensitivities, rows):
     return smaller, [replace(f, columns=f.columns[..., rows, :]) for f in sensitivities]
 
 
-def test_another_state_never_hides_anything():
+def test_another_state_never_lowers_the_information():
     """Information only grows: every minimum falls or stays."""
     whole = nominal_problem()
     smaller, fewer = of_states(whole, catalogue(), LOW)
@@ -95,7 +95,7 @@ def test_twins_are_not_separated():
     assert found == pytest.approx(np.zeros((2, 2)), abs=1e-9)
 
 
-def test_a_second_load_separates_what_is_alike_at_one():
+def test_a_second_load_separates_effects_alike_at_the_first():
     """Two effects are one and the same at the low load; they differ at the high one only."""
     low = of_states(nominal_problem(), catalogue(), LOW)[0]
     shape = mode(60, (0, 1, 1), 0, 1.0)

@@ -1,4 +1,4 @@
-"""A scan whose noise is the same for every hypothesis, on surfaces whose distance is known."""
+"""Scans with the same noise for every hypothesis, on surfaces with known distances."""
 
 from typing import Any, cast
 
@@ -44,7 +44,7 @@ def test_at_the_anchor_nothing_changes():
 
 
 def test_a_body_that_slides_keeps_its_noise():
-    """3 mm along the plane move the interface nowhere; read anew, its error is another one."""
+    """3 mm along the plane do not move the interface; evaluated anew, its error would differ."""
     there = anchored(scan(drawn_plane), POINTS, NOTHING, LENGTH_MM)
     at_rest = drawn_plane(POINTS, NOTHING)[0]
     slid = POINTS + np.array([3.0, 0.0, 0.0])
@@ -55,15 +55,15 @@ def test_a_body_that_slides_keeps_its_noise():
     assert kept < 0.3 * anew
 
 
-def test_what_moves_out_of_the_interface_is_seen_whole():
+def test_normal_motion_is_fully_visible():
     there = anchored(scan(drawn_plane), POINTS, NOTHING, LENGTH_MM)
     raised = there.compare(POINTS + np.array([0.0, 0.0, 1.5]), NOTHING)[0]
     np.testing.assert_allclose(raised, 1.5 + drawn_plane(POINTS, NOTHING)[0], atol=1e-9)
 
 
 @pytest.mark.parametrize("step", [0.5, 2.0])
-def test_a_round_body_is_as_far_as_it_is(step):
-    """A ball that grows, and one that is turned: what a disc takes off cancels."""
+def test_distance_of_a_round_body_is_unbiased(step):
+    """A ball that grows, and one that rotates: the bias of a disc cancels."""
     on = 40.0 * RNG.standard_normal((200, 3))
     on *= 40.0 / np.linalg.norm(on, axis=1)[:, None]
     there = anchored(scan(ball), on, NOTHING, LENGTH_MM)
@@ -75,7 +75,7 @@ def test_a_round_body_is_as_far_as_it_is(step):
     )
 
 
-def test_a_small_lump_grows_by_what_it_grows():
+def test_growth_of_a_small_lump_is_unbiased():
     """No disc of the noise's length is flat on a radius of 8 mm, and the average is less steep."""
     on = RNG.standard_normal((200, 3))
     on *= 8.0 / np.linalg.norm(on, axis=1)[:, None]
@@ -87,7 +87,7 @@ def test_a_small_lump_grows_by_what_it_grows():
     )
 
 
-def test_normals_are_the_derivatives_of_what_is_compared():
+def test_normals_are_the_derivatives_of_distances():
     there = anchored(scan(drawn_plane), POINTS, NOTHING, LENGTH_MM)
     at = POINTS + np.array([1.0, 0.5, 0.3])
     normals = there.compare(at, NOTHING)[1]

@@ -1,4 +1,4 @@
-"""What is known of the noise of scans: that of each, and that of the scan at rest in all."""
+"""Noise of the scans: each scan's own, and the noise of the scan at rest in all of them."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def drawn(inverse, sd_mm, factor=1.0):
 
 
 @pytest.mark.parametrize("number", range(len(SETTINGS.noise.lengths)))
-def test_scans_share_the_drawing_at_rest_where_points_carry_it(inverse, number):
+def test_unpressed_points_share_the_error_at_rest(inverse, number):
     k, factor = len(inverse.points), SETTINGS.noise.lengths[number]
     found = stated_covariances(inverse)[number].reshape(2, k, 2, k)
     at_rest, own = (drawn(inverse, sd, factor) for sd in (NOISE.reference_sd_mm, NOISE.sd_mm))
@@ -48,7 +48,7 @@ def test_scans_share_the_drawing_at_rest_where_points_carry_it(inverse, number):
 
 
 def test_a_plan_expects_the_same_noise_before_plates_press(inverse):
-    """Beside that, scans may lie elsewhere, and interfaces be drawn too large."""
+    """It also includes poses and contour bias."""
     k = len(inverse.points)
     planned = planned_covariance(inverse)
     stated = stated_covariances(replace(inverse, scans=[inverse.scans[0]] * 2))[

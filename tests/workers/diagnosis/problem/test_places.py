@@ -1,4 +1,4 @@
-"""Effects that act at one place: where they are looked for, and found."""
+"""Localised effects: their candidate places, and recovery of the true place."""
 
 import numpy as np
 import pytest
@@ -24,14 +24,14 @@ def fitted(inverse):
     return found
 
 
-def test_lumps_are_looked_for_inside():
+def test_lump_places_are_inside():
     inverse = problem_between_plates()
     offsets = places_of(inverse, LUMP)
     assert len(offsets) > 10
     assert (np.abs(offsets) < np.asarray(inverse.frame.half_mm)).all()
 
 
-def test_attachments_are_looked_for_all_over_skin_and_wall():
+def test_attachment_places_cover_skin_and_wall():
     """Places are nodes of the boundary, and no node of it is farther than a diagonal away."""
     inverse = problem_between_plates()
     level = inverse.model.finest
@@ -46,11 +46,11 @@ def test_attachments_are_looked_for_all_over_skin_and_wall():
     assert len(found) == np.isin(found[:, 3], ATTACHED.place.radii_mm).sum()
 
 
-def test_what_acts_everywhere_has_no_places():
+def test_global_effects_have_no_places():
     assert places_of(problem_between_plates(), GROWN).shape == (0, 3)
 
 
-def test_secants_of_attachments_are_as_long_as_those_of_simulations():
+def test_attachment_secants_match_simulations():
     """At the prior standard deviation, which moves the body by millimetres; tangents are 1.5 to
     3.5 times too long."""
     inverse = problem_between_plates(forces=(15.0,))
@@ -100,7 +100,7 @@ def test_attachment_is_found_where_it_is():
 
 
 @pytest.mark.slow
-def test_skin_that_is_held_all_along_one_side_is_an_attachment_with_a_large_radius():
+def test_skin_held_along_one_side_is_a_large_attachment():
     """Springs of 28 mm radius at one side of the body."""
     true = {"attachment_stiffness_y": 2e-4, "attachment_radius": 28.0, "attachment_x": 26.0}
     inverse = problem_between_plates(ATTACHED, true)

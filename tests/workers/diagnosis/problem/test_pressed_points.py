@@ -1,4 +1,4 @@
-"""Points that a plate presses lie on it, whatever was drawn; the others go as before."""
+"""Points that a plate presses are on it, whatever was drawn; others are unaffected."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ DRAWN_SD_MM = 0.3
 
 @pytest.fixture(scope="module")
 def drawn():
-    """A body under two loads whose points were drawn with errors, and what is solved for each."""
+    """A body under two loads with segmentation errors, and the solution for each."""
     inverse = problem_between_plates()
     on = inverse.points
     errors = DRAWN_SD_MM * np.random.default_rng(2).standard_normal(len(on))
@@ -28,7 +28,7 @@ def drawn():
     return inverse, solved, shares
 
 
-def test_pressed_points_lie_on_the_plate(drawn):
+def test_pressed_points_are_on_the_plate(drawn):
     inverse, solved, shares = drawn
     flat = with_pressed_points(inverse, shares)
     for scan, one, share in zip(flat.scans, solved, shares, strict=True):
@@ -42,14 +42,14 @@ def test_pressed_points_lie_on_the_plate(drawn):
         np.testing.assert_array_equal(after[share == 0], before[share == 0])
 
 
-def test_more_is_pressed_under_a_larger_load(drawn):
+def test_a_larger_load_presses_more_points(drawn):
     _, _, (less, more) = drawn
     assert 0 < less.sum() < more.sum() < 0.6 * len(less)
     assert min(less.min(), more.min()) >= 0
     assert max(less.max(), more.max()) <= 1 + 1e-12
 
 
-def test_derivatives_are_those_of_the_flattened_points(drawn):
+def test_derivatives_use_the_flattened_points(drawn):
     inverse, _, shares = drawn
     flat = with_pressed_points(inverse, shares)
     free, h = unknowns(FREE, []), 1e-3
@@ -67,7 +67,7 @@ def test_without_plates_nothing_changes(drawn):
     assert with_pressed_points(inverse, [0.0 * share for share in shares]) is inverse
 
 
-def test_pressed_points_carry_no_error_of_the_scan_at_rest(drawn):
+def test_pressed_points_exclude_the_error_at_rest(drawn):
     """Two scans share the error of the scan at rest, but where a plate presses in either."""
     inverse, _, shares = drawn
     noise = replace(inverse.noise, reference_sd_mm=0.2, sd_mm=0.1)

@@ -1,4 +1,4 @@
-"""How far scans lie off is averaged over: what that is worth, and against dense densities."""
+"""Averaging over pose scales: its benefit, and comparison with dense densities."""
 
 from types import SimpleNamespace
 
@@ -31,7 +31,7 @@ def poses():
 
 
 def shift():
-    """A body force that shifts the body, the more the more it is loaded."""
+    """A body force that shifts the body in proportion to its load."""
     return mode(K, (0, 0, 0), 0, 1.0)
 
 
@@ -39,7 +39,7 @@ def posed(problem):
     return hypothesis_of(problem).with_errors(poses(), are_poses=True)
 
 
-def test_the_evidence_is_the_mean_over_how_far_scans_may_lie_off():
+def test_evidence_is_the_mean_over_pose_scales():
     problem = observed(nominal_problem(K), np.random.default_rng(31))
     expected = [
         dense_log_density(problem, scale * poses(), np.ones(12)) for scale in SETTINGS.pose.scales
@@ -52,7 +52,7 @@ def test_the_evidence_is_the_mean_over_how_far_scans_may_lie_off():
 
 
 def gain_of_the_shift(rng, *, off_mm):
-    """Evidence of a shift of 0.3 mm against poses alone, where scans lie `off_mm` off."""
+    """Evidence of a shift of 0.3 mm against poses alone, for pose errors of `off_mm`."""
     problem = nominal_problem(K)
     off = poses() @ rng.standard_normal(12) * off_mm / SD[0]
     seen = observed(problem, rng, 0.3 * shift() + off)
@@ -61,7 +61,7 @@ def gain_of_the_shift(rng, *, off_mm):
     return noise.log_evidence(with_shift) - noise.log_evidence(posed(seen))
 
 
-def test_a_shift_can_be_told_from_poses_where_scans_lie_as_they_should():
+def test_separates_a_shift_from_small_pose_errors():
     rng = np.random.default_rng(32)
     there = np.array([gain_of_the_shift(rng, off_mm=0.0) for _ in range(20)])
     assert np.median(there) > 3
@@ -69,8 +69,8 @@ def test_a_shift_can_be_told_from_poses_where_scans_lie_as_they_should():
     assert np.median(off) < 2
 
 
-def test_scans_that_lie_off_are_no_shift():
-    """Of bodies without one, none is accused of it, wherever the scans lie."""
+def test_pose_errors_are_not_reported_as_a_shift():
+    """Bodies without a shift are never accused of it, whatever the poses."""
     rng = np.random.default_rng(33)
     problem, noise = nominal_problem(K), known_noise_model(K)
     for off_mm in (0.0, 0.1, 0.3):
@@ -82,14 +82,14 @@ def test_scans_that_lie_off_are_no_shift():
 
 
 def around_nothing(problem):
-    """What `parameter_posterior` asks of the unknowns of a fit."""
+    """The unknowns of a fit, as far as `parameter_posterior` uses them."""
     sd = problem.nominal_sd
     nothing = np.zeros(len(sd))
     return SimpleNamespace(mean=nothing, sd=sd, lower=nothing - 9.0, upper=nothing + 9.0)
 
 
-def test_the_size_of_a_shift_is_right_where_scans_lie_as_they_should():
-    """With poses of 0.3 mm half of it would be taken for them."""
+def test_shift_size_is_unbiased_for_small_pose_errors():
+    """With poses of 0.3 mm half of the shift would be attributed to them."""
     rng = np.random.default_rng(34)
     found, spread = [], []
     for _ in range(20):

@@ -1,4 +1,4 @@
-"""What labels hide of flat faces, measured on labels of slabs that lie anywhere between voxels."""
+"""Voxel error of flat faces, measured on slabs at any position between voxels."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -64,7 +64,7 @@ def outline(points: np.ndarray, normals: np.ndarray) -> InterfacePoints:
     )
 
 
-def test_a_face_along_the_layers_errs_as_one_by_a_voxel():
+def test_face_along_the_layers_has_a_common_voxel_error():
     found = errors(0.0)
     # All points of a face err alike, and uniformly over a voxel.
     assert found.std(axis=1).max() < 0.01
@@ -73,8 +73,8 @@ def test_a_face_along_the_layers_errs_as_one_by_a_voxel():
     np.testing.assert_allclose(covariance, VOXEL_MM**2 / 12, atol=0.003)
 
 
-def test_a_face_that_crosses_the_layers_errs_less():
-    """Its mean errs by a part of what one along the layers does, and no more than is said."""
+def test_face_across_the_layers_has_a_smaller_error():
+    """Its mean error is smaller than along the layers, and within the stated one."""
     slope = 0.02
     of_mean = errors(slope).mean(axis=1).std()
     allowed = np.sqrt(said(*face(slope, 0.3)[1:]).sum()) / len(GRID) ** 2
@@ -89,7 +89,7 @@ def test_a_steep_face_has_no_columns():
     assert np.abs(said(*face(0.3, 0.3)[1:])).max() == 0.0
 
 
-def test_faces_on_either_side_err_on_their_own():
+def test_faces_on_either_side_have_independent_errors():
     _, points, normals = face(0.0, 0.3)
     k = len(points)
     covariance = said(np.vstack([points, points - 20.0]), np.vstack([normals, -normals]))

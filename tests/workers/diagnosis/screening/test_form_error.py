@@ -1,4 +1,4 @@
-"""Errors of form: what they cost a weak effect, and what they forgive a strong one."""
+"""Errors of form: their influence on the evidence of weak and strong effects."""
 
 import numpy as np
 import pytest
@@ -25,19 +25,19 @@ def form():
 
 
 def test_errors_are_as_large_as_the_pattern_around_them(form):
-    """Columns are those of an error of size one; their deviation at a point."""
+    """Columns are for an error of size one; their deviation at a point."""
     pattern = mode(K, (0, 1, 1), 0, 1.0)
     deviation = np.sqrt((form.columns(pattern) ** 2).sum(axis=1))
     assert deviation / form.envelope(pattern) == pytest.approx(np.ones(2 * K), rel=0.02)
 
 
-def test_they_grow_with_the_effect_and_are_smooth(form):
+def test_errors_grow_with_the_effect_and_are_smooth(form):
     pattern = mode(K, (0, 1, 1), 0, 1.0)
     assert form.columns(3.0 * pattern) == pytest.approx(3.0 * form.columns(pattern))
     assert form.columns(pattern).shape[1] < K
 
 
-def test_they_move_both_sides_of_a_layer_alike():
+def test_errors_move_both_sides_of_a_layer_alike():
     """The error of a displacement is one up on this side and one down on the other."""
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
     normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
@@ -47,7 +47,7 @@ def test_they_move_both_sides_of_a_layer_alike():
     assert covariance[0, 1] / covariance[0, 0] == pytest.approx(-1.0, abs=0.03)
 
 
-def test_they_are_as_smooth_as_the_organ_is_large():
+def test_error_length_scales_with_the_organ():
     """Of one length of the field apart, whatever that is in mm."""
     found = []
     for length_mm in (1.5, 20.0):
@@ -68,7 +68,7 @@ def evidences(columns, problem, errors, *, field):
     return known_noise_model(K).log_evidences_with_errors(at, errors, SIZES)[field]
 
 
-def test_evidence_of_every_size_is_that_of_columns_of_that_size(form):
+def test_evidence_of_each_size_matches_scaled_columns(form):
     listed = mode(K, (0, 1, 1), 0, 1.0)
     problem = observed(nominal_problem(K), np.random.default_rng(70), -0.5 * listed)
     errors, noise = form.columns(listed), known_noise_model(K)
@@ -81,7 +81,7 @@ def test_evidence_of_every_size_is_that_of_columns_of_that_size(form):
 
 
 def test_a_strong_effect_of_another_form_hardly_needs_a_field(form):
-    """2 mm of an effect that is a quarter larger on one side than the catalogue says."""
+    """2 mm of an effect that is a quarter larger on one side than in the catalogue."""
     points, _, _ = layout(K)
     listed = mode(K, (0, 1, 1), 0, 1.0)
     true = listed * (1 + 0.25 * np.sin(points[:, 0] / 30.0))
@@ -97,7 +97,7 @@ def test_a_strong_effect_of_another_form_hardly_needs_a_field(form):
     assert acting > 0.95
 
 
-def test_a_weak_effect_is_hardly_hurt(form):
+def test_weak_effects_lose_little_evidence(form):
     """Of 0.1 mm, whose evidence is some 5 to 15 nats."""
     listed = mode(K, (0, 1, 1), 0, 1.0)
     problem = observed(nominal_problem(K), np.random.default_rng(72), -0.1 * listed)
@@ -122,7 +122,7 @@ def test_log_odds_of_acting_fall_evenly_with_the_logarithm_of_the_error():
     assert np.diff(odds) == pytest.approx(-fall * np.diff(np.log(SIZES)))
 
 
-def test_data_that_say_nothing_of_the_size_leave_the_belief(form):
+def test_uninformative_data_leave_the_prior(form):
     either, acting = acting_or_alike([-7.0] * len(SIZES))
     assert either == pytest.approx(-7.0)
     assert acting == pytest.approx(1 - SETTINGS.form.likeness)

@@ -1,4 +1,4 @@
-"""What the model holds is uncertain in every hypothesis, by as much as its effect states."""
+"""Held constants are uncertain in every hypothesis, by the amount their effect states."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def analysis():
     return analysed(inverse, nominal, [COMPRESSIBILITY, effect("plate_tilt")])
 
 
-def test_columns_are_those_of_the_effect_times_how_well_it_is_known(analysis):
+def test_columns_are_the_effect_times_its_held_sd(analysis):
     m = len(analysis.inverse.bias)
     found = held_columns(analysis.sensitivities, m)
     assert found.shape == (m, 1)
@@ -32,7 +32,7 @@ def test_columns_are_those_of_the_effect_times_how_well_it_is_known(analysis):
     assert off.std() == pytest.approx(COMPRESSIBILITY.held_sd[0], rel=0.02)
 
 
-def test_every_hypothesis_has_them(analysis):
+def test_every_hypothesis_includes_held_constants(analysis):
     own = analysis.nominal.hypothesis(analysis.inverse)
     found = analysis.hypothesis(analysis.nominal)
     held = held_columns(analysis.sensitivities, len(analysis.inverse.bias))
@@ -41,5 +41,5 @@ def test_every_hypothesis_has_them(analysis):
     assert not found.one_sided[-1]
 
 
-def test_what_is_not_listed_is_not_held():
+def test_effects_without_held_sd_are_ignored():
     assert held_columns([], 12).shape == (12, 0)

@@ -1,4 +1,4 @@
-"""What a rough mesh looks like is no skin."""
+"""A rough mesh is not mistaken for a skin."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def hypothesis(residual, *more):
 
 
 def gain(n_per_mm, drawn_sd_mm):
-    """Log evidence of a skin, where the residuals are those of a skin of this size."""
+    """Log evidence of a skin, for the residuals of a skin of this size."""
     column = skin().places[0][:, 0]
     rough = RoughSurface.like(skin(), drawn_sd_mm)
     noise, residual = known_noise_model(K), -n_per_mm * column
@@ -36,7 +36,7 @@ def gain(n_per_mm, drawn_sd_mm):
     return noise.log_evidence(beside) - noise.log_evidence(without)
 
 
-def test_a_rough_mesh_is_no_skin_and_a_skin_is_one() -> None:
+def test_separates_a_rough_mesh_from_a_skin() -> None:
     like_skin = NOISE.rough_skin_n_per_mm
     assert gain(like_skin, NOISE.rough_at_mm) < 0
     assert gain(3 * like_skin, NOISE.rough_at_mm) < 3.0
@@ -45,7 +45,7 @@ def test_a_rough_mesh_is_no_skin_and_a_skin_is_one() -> None:
     assert gain(3 * like_skin, 0.5 * NOISE.rough_at_mm) > 3.0
 
 
-def test_it_grows_with_the_square_of_the_roughness() -> None:
+def test_bias_grows_with_the_square_of_the_roughness() -> None:
     column = skin().places[0][:, 0]
     once, twice = (RoughSurface.like(skin(), f * NOISE.rough_at_mm) for f in (1.0, 2.0))
     np.testing.assert_allclose(once.expected, -NOISE.rough_skin_n_per_mm * column)

@@ -39,7 +39,7 @@ def one(problem, sensitivity):
 
 
 @pytest.mark.parametrize("index", [0, 1, 3, 4])
-def test_estimate_is_that_of_ridge_regression(problem, index):
+def test_estimate_equals_ridge_regression(problem, index):
     """All parameters together, by generalised least squares with the priors as ridge."""
     sensitivity = catalogue()[index]
     J = np.hstack([problem.nominal, sensitivity.columns])
@@ -151,7 +151,7 @@ def test_places_confuse_by_the_worst_one():
     assert confusion(problem, [twin, bump])[0, 1] == pytest.approx(1.0)
 
 
-def test_what_is_invisible_is_confused_with_nothing():
+def test_invisible_effects_have_no_confusion():
     problem = replace(nominal_problem(), nominal_sd=np.full(3, 1e7))
     hidden = effect("hidden", problem.nominal[:, 0])
     assert confusion(problem, [hidden, catalogue()[1]])[0, 1] == 0.0
@@ -164,7 +164,7 @@ def test_other_points_are_refused(problem):
         effect("tilt", mode(20, (0, 1, 1), 0, 1.0), sd=0.0)
 
 
-def test_a_strong_effect_shows_although_most_of_it_is_absorbed():
+def test_strong_effects_are_visible_despite_absorption():
     """A thirtieth of its square is left: too weak at 0.1 mm, plain at 100 mm; never a hundredth."""
     problem = nominal_problem()
     within = problem.nominal[:, 0] / np.linalg.norm(problem.nominal[:, 0])

@@ -1,4 +1,4 @@
-"""How alike two states are follows from the directions in which they are loaded."""
+"""Correlation of two states by the directions of their loads."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ X, Y = np.eye(3)[:2]
 OBLIQUE = (X + Y) / np.sqrt(2)
 
 
-def test_states_along_one_direction_are_more_alike_than_those_across():
+def test_correlation_is_larger_along_one_direction():
     found = StateCorrelation(along=0.8, across=0.2).between(np.array([X, -X, Y, OBLIQUE]))
     expected = [[1, 0.8, 0.2, 0.5], [0.8, 1, 0.2, 0.5], [0.2, 0.2, 1, 0.5], [0.5, 0.5, 0.5, 1]]
     assert found == pytest.approx(np.array(expected))
@@ -29,13 +29,13 @@ def test_any_directions_give_a_covariance():
 
 
 @pytest.mark.parametrize(("along", "across"), [(0.5, 0.6), (1.1, 0.0), (0.5, -0.1)])
-def test_what_is_no_correlation_is_refused(along, across):
+def test_rejects_invalid_correlations(along, across):
     with pytest.raises(InputError, match="0 <= across <= along <= 1"):
         StateCorrelation(along, across)
 
 
-def test_columns_of_several_scans_have_it():
-    """A numerical error along one direction says little of that across it."""
+def test_columns_of_several_scans_have_the_correlation():
+    """Numerical errors along one direction and across are only weakly correlated."""
     points, normals = ellipsoid(60)
     between = SETTINGS.numerical.state_correlation.between(np.array([X, X, Y]))
     states = np.repeat(np.arange(3), 60)

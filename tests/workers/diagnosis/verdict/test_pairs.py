@@ -1,4 +1,4 @@
-"""Where joint fits begin: at which places, and from what another effect leaves."""
+"""Starting points of joint fits: places, and residuals of another effect."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ ATTACHED, LUMP, TILT = effect("local_attachment"), effect("inclusion"), effect("
 EDGE = effect("plate_edge")
 
 
-def test_fits_begin_at_places_that_are_no_neighbours():
+def test_starting_places_are_not_neighbours():
     grid = SETTINGS.sensitivities.inside_grid_mm
     places = np.outer([0.0, 1.0, 3.0, 9.0, 5.0], [grid, 0.0, 0.0])
     assert starting_places(LUMP, places, np.array([5.0, 4.9, 4.5, 4.8, 4.0])) == [0, 3]
@@ -39,8 +39,8 @@ class Both:
 
 
 @pytest.mark.slow
-def test_a_second_effect_is_looked_for_in_what_the_first_leaves():
-    """The tilt is louder: nothing of the place is known before it is taken off."""
+def test_second_effect_is_screened_in_the_remaining_residual():
+    """The tilt is stronger: the place is unknown until it is subtracted."""
     true = {"tilt_depth": 6.0, "tilt_across": 0.0}
     true |= {"attachment_stiffness_x": 5e-4, "attachment_x": 26.0}
     true |= {"attachment_y": 3.0, "attachment_z": -2.0}
@@ -63,7 +63,7 @@ def test_a_second_effect_is_looked_for_in_what_the_first_leaves():
     assert found.log_evidence > base.log_evidence + 3.0
 
 
-def test_a_fit_of_what_grows_with_its_square_begins_away_from_zero(monkeypatch):
+def test_quadratic_effects_start_away_from_zero(monkeypatch):
     """Little moves with an edge near the wall, and fits of noisy scans stay there: of edges at 3.8
     mm they had 0.9 mm, and 14 to 18 nats less than from further out."""
     inverse = problem_between_plates(EDGE, {"plate_edge": 2.0})
@@ -86,8 +86,8 @@ def test_a_fit_of_what_grows_with_its_square_begins_away_from_zero(monkeypatch):
     assert found.fit.values()["plate_edge"] == pytest.approx(2.0, abs=0.1)
 
 
-def test_a_fit_whose_start_cannot_be_simulated_begins_nearer_to_neutral(monkeypatch):
-    """As where a wall that yields so much folds: the fit ends where the other one does."""
+def test_unsolvable_starts_move_towards_neutral(monkeypatch):
+    """As for a wall that yields too much and folds: both fits end at the same optimum."""
     inverse = problem_between_plates(TILT, {"tilt_depth": 4.0, "tilt_across": 0.0})
     free = unknowns(FREE, [])
     nominal = fit(inverse, free, free.mean, [None] * len(inverse.scans))
@@ -111,7 +111,7 @@ def test_a_fit_whose_start_cannot_be_simulated_begins_nearer_to_neutral(monkeypa
 
 
 @pytest.mark.slow
-def test_of_several_places_the_fit_goes_on_from_the_best_alone(monkeypatch):
+def test_only_the_best_of_several_starts_continues(monkeypatch):
     """A start at the place and one across the body; both are tried for three iterations."""
     true = {"attachment_stiffness_x": 5e-4, "attachment_x": 26.0}
     true |= {"attachment_y": 3.0, "attachment_z": -2.0}

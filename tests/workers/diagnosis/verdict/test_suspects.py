@@ -1,4 +1,4 @@
-"""Which effects are worth a joint fit."""
+"""Selection of effects for joint fits."""
 
 from types import MethodType, SimpleNamespace
 from typing import Any
@@ -25,7 +25,7 @@ def screened(name: str, nats: float, estimate: float = 1.0) -> ScreeningResult:
 
 
 def sensitivity(name: str, large: float, small: float) -> EffectSensitivity:
-    """Of an effect that does so much a unit at a large and at a small magnitude."""
+    """An effect with given responses per unit at a large and at a small magnitude."""
     columns = np.stack([large * PATTERN, small * PATTERN])[:, :, None]
     return EffectSensitivity(
         name, "plate geometry", columns, np.array([EDGE_SD_MM]), np.ones(1, np.bool_)
@@ -33,7 +33,7 @@ def sensitivity(name: str, large: float, small: float) -> EffectSensitivity:
 
 
 def named(louder: dict[str, float], edge: ScreeningResult, large: float, small: float) -> list[str]:
-    """Return the suspects among louder effects, a quiet friction that tires, and an edge."""
+    """Return the suspects among strong effects, a weak saturating friction, and an edge."""
     friction = screened("plate_friction", 9.0, 40.0)
     others = [screened(name, nats) for name, nats in louder.items()]
     analysis: Any = SimpleNamespace(
@@ -50,9 +50,7 @@ def named(louder: dict[str, float], edge: ScreeningResult, large: float, small: 
 
 
 @pytest.mark.parametrize(("loudest", "nats"), [(119.0, 8.0), (17.0, 3.0)])
-def test_an_edge_that_grows_with_its_square_is_fitted_beside_louder_effects(
-    loudest: float, nats: float
-) -> None:
+def test_a_quadratic_edge_is_fitted_with_stronger_effects(loudest: float, nats: float) -> None:
     loud = ["plate_flex", "plate_tilt", "skin_added", "creep", "wall_hold"]
     louder = {name: loudest - n for n, name in enumerate(loud)}
     found = named(louder, screened("plate_edge", nats, 4.0), 2.0, 1.0)
@@ -63,11 +61,11 @@ def test_an_edge_that_grows_with_its_square_is_fitted_beside_louder_effects(
     ("loudest", "nats", "large"),
     [
         (9.5, 8.0, 2.0),  # the nominal model is near enough for a linear one
-        (119.0, 0.5, 2.0),  # nothing speaks for it
+        (119.0, 0.5, 2.0),  # no support for it
         (119.0, 8.0, 0.9),  # it tires
     ],
 )
-def test_else_the_five_loudest_are(loudest: float, nats: float, large: float) -> None:
+def test_otherwise_the_five_strongest_are_fitted(loudest: float, nats: float, large: float) -> None:
     loud = ["plate_flex", "plate_tilt", "skin_added", "creep", "wall_hold", "growth"]
     louder = {name: loudest - n for n, name in enumerate(loud)}
     edge = screened("plate_edge", nats, 9.0)
@@ -75,8 +73,8 @@ def test_else_the_five_loudest_are(loudest: float, nats: float, large: float) ->
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_no_effect_is_accused_that_was_not_fitted(monkeypatch, simulated: bool) -> None:
-    """Screening had nothing against it, the weighing had: it is fitted, once, and weighed again."""
+def test_every_accused_effect_is_fitted(monkeypatch, simulated: bool) -> None:
+    """An effect missed by screening but named by the verdict is fitted once and weighed again."""
     known = [effect("plate_tilt"), effect("rigid_motion")]
     fitted_at_weighing = []
 
@@ -98,8 +96,8 @@ def test_no_effect_is_accused_that_was_not_fitted(monkeypatch, simulated: bool) 
     assert set(reached.joint_fits) == fitted_at_weighing[1]
 
 
-def test_what_hides_is_fitted_where_something_speaks_for_it():
-    """Alone, and beside the likeliest effect that does not hide; creep is too improbable for it."""
+def test_supported_hidden_effects_are_fitted():
+    """Alone, and with the likeliest visible effect; creep is too improbable."""
     reached: Any = SimpleNamespace(
         primary=("growth",),
         hidden=("plate_force", "creep"),
@@ -114,7 +112,7 @@ def test_what_hides_is_fitted_where_something_speaks_for_it():
 
 
 class Left:
-    """What a joint fit leaves: `screen` is given it with the parameters at bounds held."""
+    """Residuals of a joint fit, passed to `screen` with parameters at bounds held."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self.names = names
@@ -159,7 +157,7 @@ def fitted(name: str, log_evidence: float) -> Any:
         ({"plate_tilt": {}, "skin_added": {}}, True, [("plate_tilt", "skin_added")]),
     ],
 )
-def test_pairs_that_promise_most_are_fitted(monkeypatch, left, unexplained, expected) -> None:
+def test_fits_the_most_promising_pairs(monkeypatch, left, unexplained, expected) -> None:
     """Of effects 10 nats apart that were fitted alone, and what each leaves to others."""
 
     def screen(names: tuple[str, ...], sensitivities: Any) -> list[ScreeningResult]:

@@ -65,7 +65,7 @@ def test_triples_share_their_odds():
     assert found[("a", "b", "c"), True] / found[(), False] == pytest.approx(0.005 / odds.nothing)
 
 
-def test_the_verdict_is_that_of_the_largest_probability():
+def test_verdict_is_the_most_probable_cause():
     """Around the evidence at which an effect is as probable as no gap."""
     even = np.log(SETTINGS.prior_odds.nothing / (SETTINGS.prior_odds.single / 4))
     quiet = weigh(Hypothesis(("a",), -100.0 + even - 0.5))
@@ -113,8 +113,8 @@ def test_a_field_alone_is_none_of_these():
     assert found.primary == ()
 
 
-def test_a_mere_likeness_is_none_of_these():
-    """With an error of form that no real effect has, the same pattern fits by 5 nats better."""
+def test_an_imitation_is_none_of_these():
+    """With an error of form that no real effect has, the same pattern gains 5 nats."""
     likeness = Hypothesis(("a",), 0.0, acting=0.1)
     found = weigh(likeness)
     assert found.probabilities["a"] == pytest.approx(0.1, abs=1e-6)
@@ -122,8 +122,8 @@ def test_a_mere_likeness_is_none_of_these():
     assert found.kind == "none-of-these"
 
 
-def test_an_effect_beside_something_else_is_doubtful():
-    """The more of the evidence a field on top of it has, the more is it a mere likeness."""
+def test_an_effect_with_an_unlisted_cause_is_uncertain():
+    """The larger the field's share of the evidence, the more probable is an imitation."""
     shares = [0.01, 0.2, 0.8]
     tried = [Hypothesis(("a",), 500.0 * (1 - one), 500.0 * one) for one in shares]
     found = [verdict([Hypothesis((), 0.0, 100.0), one], FAMILIES) for one in tried]
@@ -138,8 +138,8 @@ def test_an_effect_beside_something_else_is_doubtful():
     assert found[1].explained_share == pytest.approx(0.8)
 
 
-def test_a_field_that_mends_a_form_says_no_more_against_an_effect():
-    """Without a field its form was a likeness's; with one it need not be."""
+def test_a_field_that_corrects_the_form_is_no_evidence_against_an_effect():
+    """Without a field its form suggests an imitation; with one it need not."""
     mended = Hypothesis(("a",), 490.0, 10.0, acting=0.1, acting_beside=0.95)
     same = Hypothesis(("a",), 490.0, 10.0, acting=0.1, acting_beside=0.1)
     nothing = Hypothesis((), 0.0, 100.0)
@@ -170,8 +170,8 @@ def test_three_effects_are_named():
     assert set(found.primary) == {"a", "b", "c"}
 
 
-def test_what_hides_is_neither_accused_nor_acquitted():
-    """It stays in the sum with what speaks for it, and counts for no gap."""
+def test_hidden_effects_are_neither_accused_nor_acquitted():
+    """It keeps its evidence in the sum and counts towards no gap."""
     louder = weigh(Hypothesis(("a",), -80.0), Hypothesis(("d",), -60.0), hiding={"d"})
     assert (louder.kind, louder.primary, louder.hidden) == ("no-gap", (), ("d",))
     softer = weigh(Hypothesis(("a",), -60.0), Hypothesis(("d",), -80.0), hiding={"d"})
@@ -185,7 +185,7 @@ def test_what_hides_is_neither_accused_nor_acquitted():
     )
 
 
-def test_an_effect_beside_one_that_hides_is_accused():
+def test_a_visible_effect_is_accused_with_a_hidden_one():
     """What hides explains more than the effect does, and both together more than either."""
     alone = Hypothesis(("a",), -94.0), Hypothesis(("d",), -89.0)
     assert weigh(*alone, hiding={"d"}).kind == "no-gap"
@@ -194,7 +194,7 @@ def test_an_effect_beside_one_that_hides_is_accused():
     assert min(found.probabilities["a"], found.probabilities["d"]) > 0.99
 
 
-def test_wrong_input_is_named():
+def test_rejects_invalid_input():
     with pytest.raises(InputError, match=r"no family of \['e'\]"):
         weigh(Hypothesis(("e",), -80.0))
     with pytest.raises(InputError, match="1 repeated"):
@@ -216,7 +216,7 @@ def diagnose(problem, sensitivities):
     return verdict(hypotheses_of(joint), families(sensitivities), hiding)
 
 
-def test_joint_evidence_is_that_of_each_fit():
+def test_joint_evidence_equals_each_fit():
     rng = np.random.default_rng(51)
     problem = observed(nominal_problem(), rng, signal_of(catalogue()[3], rng))
     joint, noise = joint_evidence(problem, catalogue()), known_noise_model()
@@ -252,7 +252,7 @@ def test_a_pair_is_found():
     assert set(found.primary) == {"tilt", "stiffening"}
 
 
-def test_a_twin_cannot_be_told_apart():
+def test_twin_effects_cannot_be_told_apart():
     """Two effects with almost the same columns."""
     tilt = catalogue()[1]
     other = tilt.columns[:, 0] + 0.03 * mode(60, (1, 1, 0), 2, 1.0)

@@ -1,4 +1,4 @@
-"""What loaded scans show below the place of the chest wall belongs to the body."""
+"""Tissue below the position of the chest wall in loaded scans belongs to the body."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +32,7 @@ def below(labels: Volume, wall_mm: float) -> int:
     return int((labels.values[z < wall_mm] != Tissue.AIR).sum())
 
 
-def test_loaded_scans_keep_it_and_checks_leave_it_out(case: ScannedCase) -> None:
+def test_loaded_scans_keep_tissue_below_the_wall_but_checks_ignore_it(case: ScannedCase) -> None:
     assert below(case.reference, case.wall_mm) == 0
     assert all(below(labels, case.wall_mm) > 100 for labels in case.deformed)
     assert all(below(case.above_wall(one), case.wall_mm) == 0 for one in case.deformed)
@@ -40,7 +40,7 @@ def test_loaded_scans_keep_it_and_checks_leave_it_out(case: ScannedCase) -> None
 
 
 def left(case: ScannedCase) -> FloatArray:
-    """Return what the true model leaves of the residuals of the points near the wall."""
+    """Return the residuals of the true model at the points near the wall."""
     inverse = ScannedCaseSource(case).inverse_problem(1500, 4.0)
     free = unknowns(inverse.free, [effect("wall_compliance")])
     z = np.array([*np.log([TRUE_MPA[one.name] for one in inverse.free]), YIELD_MM_PER_MPA])
@@ -51,7 +51,7 @@ def left(case: ScannedCase) -> FloatArray:
     return found.residual[inverse.points.points[:, 2] < case.wall_mm + 8.0]
 
 
-def test_points_that_go_there_are_found_on_the_skin(case: ScannedCase) -> None:
+def test_points_below_the_wall_are_found_on_the_skin(case: ScannedCase) -> None:
     """A scan that is cut at the wall has no skin where they are."""
     assert np.abs(left(case)).max() < 0.9  # voxels of 1.5 mm
     cut = [case.above_wall(one) for one in case.deformed]
@@ -59,8 +59,8 @@ def test_points_that_go_there_are_found_on_the_skin(case: ScannedCase) -> None:
     assert np.abs(left(without)).max() > 1.1
 
 
-def test_a_scan_at_rest_is_cut(tmp_path: Path) -> None:
-    """Its segmentation may spill: the wall is where the case says."""
+def test_scan_at_rest_is_cut_at_the_wall(tmp_path: Path) -> None:
+    """Its segmentation may extend below the wall, whose position is stated in the case."""
     folder = write_case(tmp_path / "spilled")
     clean = read_case(folder)
     rest = clean.reference

@@ -94,13 +94,13 @@ def test_a_sound_case_passes(tilted: Path) -> None:
 
 
 @pytest.mark.parametrize(("change", "said"), WRONG.values(), ids=WRONG)
-def test_scans_that_do_not_belong_together(copied: Path, change: Change, said: str) -> None:
+def test_rejects_scans_of_different_bodies(copied: Path, change: Change, said: str) -> None:
     change(copied)
     with pytest.raises(InputError, match=said.replace("(", r"\(")):
         check_case(read_case(copied))
 
 
-def test_sides_that_are_alike_are_no_mirror_image(copied: Path) -> None:
+def test_symmetric_sides_are_no_mirror_image(copied: Path) -> None:
     for file in SCANS:
         labels = scan(copied, file)
         half = labels.values[:, :, : labels.shape_xyz[0] // 2]

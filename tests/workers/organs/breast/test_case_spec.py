@@ -105,7 +105,7 @@ def test_values_are_held_and_intervals_are_searched() -> None:
         ),
     ],
 )
-def test_what_makes_no_sense_is_refused(path: str, value: Any, message: str) -> None:
+def test_rejects_invalid_values(path: str, value: Any, message: str) -> None:
     with pytest.raises(InputError, match=r"case\.yaml does not make sense") as refused:
         validated(CaseFile, changed(path, value), "case.yaml")
     assert message in str(refused.value)
@@ -137,7 +137,7 @@ def test_each_tissue_may_have_fibres_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("path", ["wall", "plates", "noise"])
-def test_what_the_scans_show_may_be_left_out(path: str) -> None:
+def test_values_shown_by_the_scans_are_optional(path: str) -> None:
     case = validated(CaseFile, changed(path, None))
     assert getattr(case, path) in (None, CaseWall())
 
@@ -165,7 +165,7 @@ def test_the_example_of_a_breast_in_ct_is_read() -> None:
     assert file.scans.loads[0].plate_distance_mm == 65.07
 
 
-def test_the_settings_are_told_in_words() -> None:
+def test_settings_are_described_in_words() -> None:
     data = changed("model.fibre_invariant", "isochoric")
     data["scans"]["loads"][0] |= {"force_n": 39.931, "lower_mm": -50, "upper_mm": 50}
     rows = dict(understood(validated(CaseFile, data)))

@@ -41,7 +41,7 @@ def laws_in(case: BreastCase) -> dict[Tissue, Any]:
     return {tissue: c.law for tissue, c in problem.constants.items()}
 
 
-def test_one_name_stands_for_all_tissues() -> None:
+def test_one_name_applies_to_all_tissues() -> None:
     case = case_of("yeoh", yeoh_c2_fat=1.5, E_fat_kpa=8)
     laws = laws_in(case)
     mu = 0.008 / (2 * 1.49)
@@ -51,7 +51,7 @@ def test_one_name_stands_for_all_tissues() -> None:
     assert case == case_of({"fat": "yeoh", "glandular": "yeoh"}, yeoh_c2_fat=1.5, E_fat_kpa=8)
 
 
-def test_a_tissue_that_is_not_named_stays_neo_hookean() -> None:
+def test_unnamed_tissues_stay_neo_hookean() -> None:
     laws = laws_in(case_of({"glandular": "fung"}, fung_b_glandular=3))
     assert laws[Tissue.FAT] is None
     assert isinstance(laws[Tissue.GLANDULAR], Fung)
@@ -78,7 +78,7 @@ def test_the_default_is_not_written() -> None:
         ("fung", {"stiffening": 2}, "its shape constants say how the tissue stiffens"),
     ],
 )
-def test_what_makes_no_sense_is_refused(law: Any, constants: Any, words: str) -> None:
+def test_rejects_invalid_values(law: Any, constants: Any, words: str) -> None:
     with pytest.raises(InputError, match=words):
         case_of(law, **constants)
 
@@ -105,7 +105,7 @@ def test_shape_constants_are_searched_where_the_law_has_them() -> None:
     assert study_of({"fat": "fung"}, {"stiffening": [0, 1]}).free_parameters
 
 
-def test_scans_state_a_law_as_a_study_does() -> None:
+def test_scans_and_studies_state_laws_alike() -> None:
     file = scans_of("yeoh", yeoh_c2_fat=[0.1, 2])
     assert not file.has_fibres
     assert file.free["yeoh_c2_fat"] == (0.1, 2.0)

@@ -72,6 +72,6 @@ def test_the_cause_is_named(name: str, told_of: Callable[[str], Summary]) -> Non
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_cause_is_under_suspicion(name: str, told_of: Callable[[str], Summary]) -> None:
+def test_the_cause_is_in_the_credible_set(name: str, told_of: Callable[[str], Summary]) -> None:
     told = told_of(name)
     assert set(CALLED[truth_of(name)["kind"]] or ["no-gap"]) <= set(told.set90)

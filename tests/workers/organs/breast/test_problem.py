@@ -47,7 +47,7 @@ def test_without_skin_its_voxels_are_fat():
     assert problem("none").membrane is None
 
 
-def test_a_membrane_lies_on_fat():
+def test_a_membrane_covers_fat():
     wrapped = problem_of(
         ModelSpec(skin="membrane", skin_thickness_mm=1.2), FORCE, BREAST_MODEL.complete(), BODY
     )
@@ -65,7 +65,7 @@ def test_a_layer_of_skin_is_a_tissue_without_fibres():
 @pytest.mark.parametrize(
     ("skin", "materials"), [("none", [0, 1, 2, 1, 4, 1]), ("layer", [0, 1, 2, 3, 4, 1])]
 )
-def test_tissues_that_behave_alike_are_meshed_as_one(skin, materials):
+def test_tissues_of_one_material_are_meshed_as_one(skin, materials):
     every = Volume(np.arange(6, dtype=np.uint8).reshape(1, 1, 6), (1.0, 1.0, 1.0))
     assert materials_of(every, ModelSpec(skin=skin)).values.ravel().tolist() == materials
 
@@ -113,7 +113,7 @@ def test_plates_end_centred_on_the_imaged_target():
     assert plates_of(load, (39.0, 167.0), target=(86.0, 152.0)) == DistanceControl(86.5, 151.5)
 
 
-def test_plates_end_where_they_are_told():
+def test_plates_end_at_stated_positions():
     assert plates_of(distance(lower=3, upper=30), BODY, (5.0, 9.0)) == DistanceControl(3, 30)
 
 
@@ -143,7 +143,7 @@ def test_elements_as_small_as_the_skin_is_thick_resolve_it():
     check_skin_layer(box_with_skin(4), element_size_mm=3.0)
 
 
-def test_elements_larger_than_the_skin_are_told_both_sizes():
+def test_message_names_sizes_of_elements_and_skin():
     # Volume over area makes the edges of the block a little thinner than 4 mm.
     with pytest.raises(InputError, match=r"is 3\.\d mm thick, the elements are 8 mm.*membrane"):
         check_skin_layer(box_with_skin(4), element_size_mm=8.0)

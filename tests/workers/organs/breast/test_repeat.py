@@ -28,7 +28,7 @@ NOISE = SegmentationNoise(0.4, 5.0, 0.4, 0.02)
 
 @pytest.fixture(scope="module")
 def twice(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A body segmented twice by a hand that errs by 0.4 mm; case.yaml does not say so."""
+    """A body segmented twice with an error of 0.4 mm, which case.yaml does not state."""
     folder = tmp_path_factory.mktemp("repeat")
     labels = generate_breast(PHANTOM, seed=5).labels
     for number, file in enumerate(("rest.nrrd", "again.nrrd", SCANS[1])):
@@ -56,7 +56,7 @@ def test_the_result_depends_on_it(twice: Path, tmp_path: Path) -> None:
     assert names[0] == names[1] != names[2]
 
 
-def test_another_body_is_no_repeat(twice: Path, tmp_path: Path) -> None:
+def test_rejects_a_repeat_of_another_body(twice: Path, tmp_path: Path) -> None:
     for file in twice.iterdir():
         (tmp_path / file.name).write_bytes(file.read_bytes())
     labels = generate_breast(PHANTOM, seed=6).labels

@@ -1,4 +1,4 @@
-"""What a study file may say, and what it is told when it says something else."""
+"""Keys of a study file, and the errors for invalid ones."""
 
 import pytest
 from pydantic import ValidationError
@@ -37,11 +37,11 @@ def test_the_smallest_case_is_the_first_target_of_the_thesis():
     assert small.complete()["nu"] == 0.49
 
 
-def test_constants_are_kilopascals_at_the_door_and_megapascals_inside():
+def test_constants_are_converted_from_kpa_to_mpa():
     assert case(constants={"E_fat_kpa": 7.5}).complete()["E_fat"] == 0.0075
 
 
-def test_a_candidate_goes_before_the_case_and_muscle_follows_the_candidate():
+def test_candidate_overrides_the_case_and_sets_muscle():
     values = case(constants={"E_fat_kpa": 7.5, "nu": 0.48}).complete({"E_fat": 0.012})
     assert (values["E_fat"], values["E_muscle"], values["nu"]) == (0.012, 0.012, 0.48)
 
@@ -53,7 +53,7 @@ def test_a_phantom_is_a_preset_with_changes():
     assert settings == BreastPhantom.preset("250ml", spacing_mm=0.5, skin_mm=0.0)
 
 
-def test_a_case_travels_through_json_unchanged():
+def test_case_survives_json():
     whole = case(
         mesh={"element_size_mm": 6},
         model={"skin": "membrane", "skin_thickness_mm": 1.2, "fibres": "literal"},
@@ -64,7 +64,7 @@ def test_a_case_travels_through_json_unchanged():
     assert BreastCase.model_validate(whole.model_dump(mode="json")) == whole
 
 
-def test_an_image_travels_through_json_unchanged():
+def test_image_survives_json():
     image = validated(
         BreastCase,
         {"reference": {"volume": "a.npy", "labels": {0: "air", 1: "Fat"}, "spacing_mm": 0.5}},
@@ -133,7 +133,7 @@ def test_a_case_cannot_be_changed():
         ),
     ],
 )
-def test_a_wrong_case_is_told_where_and_what(data, told):
+def test_error_names_key_and_problem(data, told):
     message = refusal(BreastCase, data)
     assert message.startswith("study.yaml does not make sense:")
     assert told in message
@@ -146,13 +146,13 @@ def test_a_wrong_case_is_told_where_and_what(data, told):
         ({"reference": {}}, "reference: give exactly one of phantom and volume, found neither"),
     ],
 )
-def test_a_case_without_a_body_is_not_finished(data, lacking):
+def test_case_without_a_body_is_incomplete(data, lacking):
     message = refusal(BreastCase, data)
     assert message.startswith("study.yaml is not finished")
     assert lacking in message
 
 
-def test_every_wrong_key_is_told_at_once():
+def test_reports_all_unknown_keys_at_once():
     message = refusal(BreastCase, {"reference": PHANTOM, "laod": {}, "mehs": {}})
     assert "'laod': did you mean 'load'" in message
     assert "'mehs': did you mean 'mesh'" in message

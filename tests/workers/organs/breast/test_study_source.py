@@ -97,7 +97,7 @@ def test_an_effect_that_the_study_lacks_is_found(tmp_path: Path) -> None:
     assert said.alarm > said.threshold
 
 
-def test_the_mesh_of_the_study_is_that_of_its_target(own: StudySource) -> None:
+def test_study_and_target_share_the_mesh(own: StudySource) -> None:
     few = own.inverse_problem(300, 12.0)
     many = own.finer(20_000)
     np.testing.assert_array_equal(few.model.finest.nodes, many.finest.nodes)
@@ -143,7 +143,7 @@ def test_a_study_without_positive_parameters_has_nothing_to_fit(own: StudySource
         StudySource(StudyPieces(**named | {"bounds": {"tilt_depth": (-5.0, 5.0)}})).check()
 
 
-def test_air_lies_around_the_body_but_not_below_the_wall() -> None:
+def test_air_surrounds_the_body_except_below_the_wall() -> None:
     solid = Volume(np.ones((3, 4, 5), np.uint8), (1.0, 2.0, 3.0), (10.0, 20.0, 30.0))
     found = in_air(solid)
     assert found.values.shape == (7, 12, 13)

@@ -113,7 +113,7 @@ def designs(
         )
     for number, free in enumerate(unloaded.free):
         if free.name.startswith("E_"):
-            words = f"{free.name} measured apart to {100 * SETTINGS.plan.stiffness_sd:.0f} %"
+            words = f"{free.name} measured separately to {100 * SETTINGS.plan.stiffness_sd:.0f} %"
             found[words] = Design(present, known=number)
             break
     return found

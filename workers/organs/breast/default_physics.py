@@ -1,8 +1,8 @@
 """Default physics of a breast, for every study, diagnosis and plan that states no other.
 
-A blind set states its law itself, in words that a diagnosis reads; it has no defaults.
+A blind set states its law in its files and has no defaults.
 
-The fibres feel their full stretch, ``I4``, as in the published law and in every study so far;
+The fibres depend on their full stretch, ``I4``, as in the published law and in every study so far;
 the isochoric part, ``I4bar``, has to be stated.
 """
 

@@ -231,7 +231,7 @@ def test_plan_ranks_further_measurements(sliding: World) -> None:
             "a view, 18 N along x",
             "a second segmentation of every scan",
             "the plates' distance to 0.5 mm",
-            "E_fat measured apart to 10 %",
+            "E_fat measured separately to 10 %",
         }
     )
     gained = [a.more_told_apart for a in told.acquisitions]

@@ -68,7 +68,7 @@ def test_what_makes_no_sense_is_refused(table: Any, message: str) -> None:
 
 
 def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
-    for text, message in (("", "is empty"), ("E_fat_kpa,nu\n8\n", "row 1: 2 columns are named")):
+    for text, message in (("", "is empty"), ("E_fat_kpa,nu\n8\n", "row 1: expected 2 values")):
         (tmp_path / "table.csv").write_text(text)
         with pytest.raises(InputError, match=message):
             read_table(tmp_path / "table.csv")

@@ -166,7 +166,7 @@ def test_the_command_makes_a_design(place: Path, capsys: pytest.CaptureFixture[s
     [
         (["table.csv", "study.yaml"], "Row 2: E_fat_kpa must be above 0 kPa"),
         (["study.yaml"], "Give a table and a study"),
-        (["table.csv", "study.yaml", "--design", "sobol"], "give the study alone"),
+        (["table.csv", "study.yaml", "--design", "sobol"], "give only the study"),
         (["study.yaml", "--design", "sobel"], "no design 'sobel'"),
         (["table.csv", "study.yaml", "--out", "scores.xlsx"], ".xlsx is not known"),
     ],

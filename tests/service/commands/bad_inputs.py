@@ -227,7 +227,9 @@ OPTIONS = {
     "no worker": BadInput(f"{RUN} --workers 0", "--workers must be at least 1"),
     "workers in words": BadInput(f"{RUN} --workers two", "--workers two: expected a number"),
     "a range without workers": BadInput(f"{RUN} --workers 0-4", "one worker is always kept"),
-    "a scheduler that is no address": BadInput(f"{RUN} --scheduler foo", "tcp://127.0.0.1:8786"),
+    "a scheduler that is not an address": BadInput(
+        f"{RUN} --scheduler foo", "tcp://127.0.0.1:8786"
+    ),
     "a scheduler with a web address": BadInput(
         f"{RUN} --scheduler http://127.0.0.1:8787", "invalid address"
     ),
@@ -258,10 +260,10 @@ OPTIONS = {
     ),
     "a mesh of 400 nodes": BadInput("palpate mesh study.yaml --nodes 400", "Ask for 850 nodes"),
     "a mesh in an unknown form": BadInput("palpate mesh study.yaml --out mesh.txt", ".vtu"),
-    "a mesh for no folder": BadInput("palpate mesh study.yaml --out no/mesh.vtu", "make it first"),
+    "a mesh for no folder": BadInput("palpate mesh study.yaml --out no/mesh.vtu", "create it"),
     "an unknown preset": BadInput("palpate phantom --preset huge", "huge"),
     "labels in another form": BadInput(
-        "palpate import rest.npy --name n --labels 0:air", "expected such as 0=air"
+        "palpate import rest.npy --name n --labels 0:air", "expected e.g. 0=air"
     ),
     "an evil name of an image": BadInput(
         "palpate import rest.npy --name ../evil --spacing-mm 2 2 2", "The name", images()
@@ -272,7 +274,7 @@ OPTIONS = {
     "an organ that is none": BadInput("palpate parameters --organ liver", "unknown organ 'liver'"),
     "a kind that is none": BadInput("palpate new planet mine", "planet"),
     "a name with a slash": BadInput("palpate new breast a/b", "name"),
-    "a file that is there": BadInput("palpate new breast study", "is there already"),
+    "a file that is there": BadInput("palpate new breast study", "already exists"),
     "sizes in words": BadInput("palpate bench --nodes many", "expected positive numbers"),
     "a diagnosis on ten nodes": BadInput("palpate diagnose study.yaml --nodes 10", "--nodes"),
     "workers in the environment": BadInput(

@@ -33,7 +33,7 @@ def test_new_writes_a_study_that_can_be_read_and_keeps_what_is_there(call: Call)
     assert "name: mine " in Path("mine.yaml").read_text()
     code, _, err = call("new", "breast", "mine")
     assert (code, err.count("\n")) == (2, 1)
-    assert "is there already" in err
+    assert "already exists" in err
 
 
 @pytest.mark.parametrize(
@@ -54,11 +54,11 @@ def test_new_writes_a_study_that_can_be_read_and_keeps_what_is_there(call: Call)
         (["report", "nix", "--json"], "There is no study nix"),
         (["show", "first"], "give its number, or best"),
         (["new", "breast", "a/b"], "name"),
-        (["import", "x.nrrd", "--name", "n", "--labels", "0:air"], "expected such as 0=air"),
+        (["import", "x.nrrd", "--name", "n", "--labels", "0:air"], "expected e.g. 0=air"),
         (["import", "x.nrrd", "--name", "n"], "x.nrrd does not exist"),
         (["phantom", "--preset", "huge"], "huge"),
         (["phantom", "--out", "p.txt"], ".nrrd"),
-        (["mesh", "study.yaml", "--out", "no/where.vtu"], "does not exist, make it first"),
+        (["mesh", "study.yaml", "--out", "no/where.vtu"], "does not exist; create it"),
         (["simulate", "study.yaml", "--set", "E_fat_kpa"], "expected NAME=VALUE"),
         (["simulate", "study.yaml", "--set", "E_fatt_kpa=3"], "did you mean 'E_fat_kpa'"),
         (["bench", "--nodes", "many"], "expected positive numbers"),
@@ -102,7 +102,7 @@ def test_show_gives_genes_score_and_reason(call: Call, study: Path) -> None:
     assert json.loads(call("show", "demo", "best", "--json")[1]) == best
     assert json.loads(call("show", "best", "demo", "--json")[1]) == best  # as in earlier versions
     assert call("show", 999)[0] == 2
-    assert "found 3 words" in call("show", "demo", "best", "2")[2]
+    assert "found 3 arguments" in call("show", "demo", "best", "2")[2]
 
 
 def test_report_prints_estimates_and_json(call: Call, study: Path) -> None:
@@ -209,7 +209,7 @@ def test_fit_law_with_few_points(call: Call, tmp_path: Path) -> None:
     assert fit["shear_modulus_kpa"] == pytest.approx(3, rel=1e-4)
     assert call("fit-law", str(table), "--law", "neo-hookean")[0] == 0
     code, _, err = call("fit-law", str(table))
-    assert (code, "too few points to compare it" in err) == (2, True)
+    assert (code, "too few points to compare" in err) == (2, True)
     table.write_text("\n".join(["stretch,stress_kpa", rows[0]]))
     code, _, err = call("fit-law", str(table), "--law", "yeoh")
     assert (code, "1 points under load, but yeoh has 3 constants" in err) == (2, True)

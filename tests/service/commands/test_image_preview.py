@@ -32,7 +32,7 @@ def test_facts_are_those_of_the_image() -> None:
     gland = 4 * 4 * 6 * 8 / 1000
     fat = (CONE == 1).sum() * 8 / 1000
     assert rows["glandular"].startswith(f"{gland:.4g} ml, {100 * gland / (fat + gland):.3g} %")
-    assert rows["together"] == f"{fat + gland:.4g} ml"
+    assert rows["total"] == f"{fat + gland:.4g} ml"
 
 
 def test_a_body_upside_down_is_doubted() -> None:

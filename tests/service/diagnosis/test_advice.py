@@ -43,9 +43,9 @@ def test_what_decides_between_the_suspects_comes_first() -> None:
     assert found[0].separates == (("fibre_fan", "plate_tilt"),)
     assert found[1].reveals == ("plate_force",)
     assert worth(found[0]) == (
-        "tells fibre fan from plate tilt; the smallest magnitudes found become 0.90 times as large"
+        "distinguishes fibre fan from plate tilt; detection limits become 0.90 times as large"
     )
-    assert worth(found[1]).startswith("brings plate force to light")
+    assert worth(found[1]).startswith("reveals plate force")
     assert worth(found[2]) == "the smallest magnitudes found become 0.90 times as large"
     assert undecided(TOLD)
     assert not undecided(replace(TOLD, verdict="effect"))
@@ -130,5 +130,5 @@ def test_a_plan_that_fails_takes_no_diagnosis_with_it(
     monkeypatch.setattr("palpate.service.commands.diagnoses.diagnosing.planned", fail)
     assert main([*command(runs), "--plan", "--json"]) == 0
     said = capsys.readouterr()
-    assert "No further measurement could be tried. The nominal model" in said.err
+    assert "Further measurements could not be tried. The nominal model" in said.err
     assert json.loads(said.out)["verdict"] == "no-gap"

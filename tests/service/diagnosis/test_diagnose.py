@@ -401,7 +401,7 @@ def test_the_command_writes_page_and_record(
     assert said.out.startswith("Model and data differ by ")
     assert "The cause is plate tilt" in said.out
     assert said.err.startswith("Understood:")
-    assert "finding the nominal constants" in said.err
+    assert "fitting the nominal constants" in said.err
     written = tmp_path / "runs" / "tilted"
     assert f"page: {Path('runs/tilted/diagnosis.html')}" in said.out
     record = json.loads((written / "diagnosis.json").read_text())

@@ -102,7 +102,7 @@ def test_the_console_names_effects_and_measurements(
     said = capsys.readouterr().out
     assert said.startswith("One scan (12 N) can find ")
     assert "plate force" in said
-    assert "hides in the constants" in said
+    assert "absorbed by the constants" in said
     assert record["acquisitions"][0]["name"] in said
     assert f"page: {runs / 'page.html'}" in said
 
@@ -141,7 +141,8 @@ def test_words_for_what_is_silent_and_alike() -> None:
         confusable=(ConfusablePair(("plate_tilt", "plate_flex"), 1.234),),
     )
     assert words.silence(told) == (
-        "Neither accused nor acquitted: plate force (hidden in the constants); creep (too weak)."
+        "Neither confirmed nor ruled out: plate force (absorbed by the constants); creep "
+        "(too weak)."
     )
     assert words.confusions(told).endswith("plate tilt or plate flex (1.2).")
     assert words.silence(replace(told, effects=told.effects[2:])) == ""

@@ -50,7 +50,7 @@ def test_serve_prints_a_token_once_and_ends_with_ctrl_c(tmp_path: Path) -> None:
                     service.client.submit_study("name: x")
                 with (
                     palpate.connect(service.client.url, "wrong") as stranger,
-                    pytest.raises(InputError, match="token is not known"),
+                    pytest.raises(InputError, match="token is not valid"),
                 ):
                     stranger.client.submit_study("name: x")
         process.send_signal(signal.SIGINT)

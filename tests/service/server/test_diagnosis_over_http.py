@@ -197,7 +197,7 @@ def test_an_effect_that_is_misspelt_is_one_message(service: ServiceProcess, tmp_
         job = connected.diagnose(case, nodes=NODES, effects=["plate_tlit"])
         with pytest.raises(InputError, match="did you mean 'plate_tilt'"):
             job.wait()
-        with pytest.raises(StoreError, match="misspelt is failed: it has no result"):
+        with pytest.raises(StoreError, match="misspelt is failed and has no result"):
             _ = job.results
         with pytest.raises(InputError, match="effects"):
             connected.diagnose(case, nodes=NODES, effects=[])

@@ -337,14 +337,14 @@ def test_a_stranger_watches_and_changes_nothing(browser: Any, served: ServicePro
     assert not page.locator("text=Submit a study").is_visible()
     page.fill("input[name=token]", "no such token")
     page.click("form.sign-in button")
-    page.wait_for_selector("#trouble:has-text('This token is not known')")
+    page.wait_for_selector("#trouble:has-text('This token is not valid')")
     assert loading  # the list comes after the refusal and does not take it back
     with page.expect_request("**/api/v1/events*"):
         for request in loading:
             request.continue_()
     page.unroute("**/api/v1/jobs?*")
     page.wait_for_timeout(200)
-    assert page.locator("#trouble:has-text('This token is not known')").is_visible()
+    assert page.locator("#trouble:has-text('This token is not valid')").is_visible()
     page.fill("input[name=token]", TOKEN)
     page.keyboard.press("Enter")
     page.wait_for_selector("#session:has-text('environment')")

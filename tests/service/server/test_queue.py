@@ -89,5 +89,5 @@ def test_a_second_service_is_refused(path: Path) -> None:
 
 def test_a_record_that_makes_no_sense_is_named(path: Path) -> None:
     path.write_text('{"kind":"changed","job":"nix","to":"paused","reason":"","at":""}\n')
-    with pytest.raises(JournalError, match="changed by hand"):
+    with pytest.raises(JournalError, match="was edited"):
         Queue(path)

@@ -48,7 +48,7 @@ def test_only_the_submitter_or_an_admin_changes_a_job() -> None:
             check_may_change(owner, job("ann"))
         assert refused.value.status_code == 403
     assert writer(ann) == ann
-    with pytest.raises(HTTPException, match="may only read"):
+    with pytest.raises(HTTPException, match="is read-only"):
         writer(reader)
 
 

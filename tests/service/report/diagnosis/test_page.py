@@ -72,8 +72,8 @@ def test_the_page_is_written_without_matplotlib() -> None:
 def test_the_verdict_says_cause_size_and_what_is_left_on_an_unseen_scan() -> None:
     assert sentence_of(summary()) == (
         "Model and data differ by 0.27 mm (0.23 to 0.31) beyond the noise. The cause is plate "
-        "tilt (5.48 ± 0.27 deg, probability > 99 %). On scans that it was not fitted to, it "
-        "leaves nothing that stands out of the noise (at most 0.15 mm) of 0.31 mm."
+        "tilt (5.48 ± 0.27 deg, probability > 99 %). On scans not used in the fit, it "
+        "leaves nothing above the noise (at most 0.15 mm) of 0.31 mm."
     )
     assert sentence_of(VERDICTS["one scan"]).endswith("It leaves 0.10 mm (0.00 to 0.20).")
 
@@ -82,8 +82,8 @@ def test_a_pattern_without_size_is_not_called_a_gap_of_zero() -> None:
     gap = summary()["gap_mm"]
     gap["before"] = gap["held_out_before"] = gap["before"] | {"gap_mm": 0.0, "low_mm": 0.0}
     said = sentence_of(summary(gap_mm=gap))
-    assert said.startswith("Model and data differ by less than the noise, but not at random.")
-    assert said.endswith("leaves nothing that stands out of the noise (at most 0.15 mm).")
+    assert said.startswith("The residual is below the noise level but systematic.")
+    assert said.endswith("leaves nothing above the noise (at most 0.15 mm).")
 
 
 def test_what_hides_is_said_where_the_scans_are_sure_of_it() -> None:
@@ -95,8 +95,8 @@ def test_what_hides_is_said_where_the_scans_are_sure_of_it() -> None:
 
     assert said(0.6) == ""
     assert said(0.95) == (
-        " The scans speak for plate force (0.431 ± 0.064, probability 95 %), which other "
-        "constants all but hide: check it otherwise."
+        " The scans support plate force (0.431 ± 0.064, probability 95 %), but the fitted "
+        "constants can almost mimic it; confirm it with an independent measurement."
     )
 
 
@@ -108,7 +108,7 @@ def test_noise_that_is_stated_wrongly_or_uneven_is_said() -> None:
 
     assert said(0.3, 0.35, 0.30, 0.40) == ""
     assert said(0.2, 0.3, 0.28, 0.32) == (
-        " The noise of the outline interface is stated too small: 0.20 mm, where its residuals "
+        " The noise of the outline interface is stated too small: 0.20 mm, but its residuals "
         "show 0.30 mm."
     )
     assert said(0.3, 0.3, 0.22, 0.41) == (
@@ -138,7 +138,7 @@ def test_a_gap_of_micrometres_is_told_where_noise_is_smaller_still() -> None:
     assert told.startswith("Model and data differ by 0.0031 mm (0.0027 to 0.0035) beyond the noise")
     # Under a tenth of a millimetre of noise the same gap is none.
     told = sentence_of(summary(gap_mm=gaps_mm | {"noise_floor": 0.1}))
-    assert told.startswith("Model and data differ by less than the noise, but not at random")
+    assert told.startswith("The residual is below the noise level but systematic")
 
 
 def test_two_effects_at_once_are_both_named() -> None:
@@ -150,10 +150,11 @@ def test_two_effects_at_once_are_both_named() -> None:
     ("which", "said"),
     [
         ("no gap", "A gap larger than 0.11 mm is unlikely."),
-        ("none of these", "no effect of the catalogue explains it"),
+        ("none of these", "no effect in the catalogue explains it"),
         (
             "not told apart",
-            "cannot tell which of plate tilt and plate flex is the cause; plate tilt comes first.",
+            "cannot decide which of plate tilt and plate flex is the cause; plate tilt is most "
+            "probable.",
         ),
     ],
 )

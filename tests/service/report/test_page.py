@@ -48,7 +48,7 @@ def test_same_evidence_same_bytes(source: str) -> None:
 def test_the_verdict_is_a_sentence_with_signed_errors(page: Page) -> None:
     assert "Efat 10.1 kPa, +1.2 % from the target; ηfat 93 kPa." in page.text
     assert "share 89.0 % of the volume that they fill together" in page.text
-    assert "their surfaces lie 0.396 mm (0.2 voxels) apart" in page.text
+    assert "their surfaces are 0.396 mm (0.2 voxels) apart" in page.text
     assert "The search has ended: all 2 generations are done." in page.text
 
 
@@ -95,7 +95,7 @@ def test_time_counts_and_throughput(page: Page) -> None:
         "Evaluations diverged1",
         "Evaluations crashed1",
         "Evaluations lost0",
-        "Of these taken from the store1",
+        "Reused from the store1",
         "Throughput1.95 evaluations per min",  # 4 of 5 computed in 123 s
         "Evaluations at once3",
     ):
@@ -119,10 +119,10 @@ def test_what_the_best_simulation_says(page: Page) -> None:
 
 def test_nothing_yet_is_said_in_words() -> None:
     text = Page(render(nothing_yet())).text
-    assert "Nothing found yet" in text
+    assert "No estimates yet" in text
     assert "The search is still running" in text
     assert "No evaluation has a score yet" in text
-    assert "nothing was evaluated yet" in text
+    assert "nothing has been evaluated yet" in text
 
 
 def test_infinities_are_drawn_and_printed() -> None:

@@ -45,7 +45,7 @@ class Shown:
         """Wait until the viewers show the best candidate, asking for it where that is offered."""
         best = self.page.inner_text("#convergence button").strip()
         assert best == "open the best candidate"
-        offer = self.page.locator("#bodies button:has-text('which is better')")
+        offer = self.page.locator("#bodies button:has-text('now the best')")
         until = time.monotonic() + 4 * PATIENCE_MS / 1000  # a process starts for it, maybe two
         while not re.match(r"Candidate \d+", self.page.inner_text("#bodies .note")) or (
             offer.is_visible()

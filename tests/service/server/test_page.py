@@ -242,7 +242,7 @@ def test_bodies_that_are_ahead_of_the_page_are_not_waited_for(
         with served.client() as client:
             client.submit_study(text)
         shown.open("ahead")
-        offer = page.locator("#bodies button:has-text('which is better')")
+        offer = page.locator("#bodies button:has-text('now the best')")
         offer.click()
         page.wait_for_selector("#bodies .note:has-text('being drawn')")
     finally:
@@ -263,7 +263,7 @@ def test_chosen_studies_are_compared(shown: Shown, served: ServiceProcess) -> No
         found = [client.results(name)["estimates"]["E_fat"]["estimate"] for name in ids]
     shown.open()
     page = shown.page
-    button = page.locator("button:has-text('compare the chosen studies')")
+    button = page.locator("button:has-text('compare selected studies')")
     assert button.is_disabled()
     for name in ids:
         page.check(f"tr[data-job='{name}'] input[type=checkbox]")
@@ -373,7 +373,7 @@ def look_at_a_real_study(browser: Any, served: ServiceProcess) -> None:
     assert "outside (+) or inside" in page.inner_text('[data-viewer="body"] .scale')
     with page.expect_popup() as opened:
         page.click("[data-file='report.html']")
-    opened.value.wait_for_selector("h2:has-text('What was found')")
+    opened.value.wait_for_selector("h2:has-text('Estimates')")
     page.close()
 
 

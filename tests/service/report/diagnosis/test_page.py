@@ -169,7 +169,7 @@ def test_effects_with_magnitudes_and_the_hidden_ones_last_and_grey(source: str, 
     assert tilt[3:] == ["> 1000", "1 %"]
     hidden = page.row("plate forceloading")
     assert hidden[1] == "–"
-    assert "99 % of it looks like another choice of constants" in hidden[2]
+    assert "the constants absorb 99 % of it" in hidden[2]
     order = [row[0] for row in page.cells if row[0].startswith("plate ")]
     assert order[:3] == [
         "plate tiltplate geometry",
@@ -208,7 +208,7 @@ def test_all_that_is_not_in_the_catalogue_is_listed(page: Page) -> None:
 def test_points_that_a_scan_does_not_show_are_counted(page: Page) -> None:
     assert "left out" not in page.text
     told = summary() | {"left_out": 9}
-    said = f"Of {told['points'] + 9}, 9 were left out, because some scan does not show them"
+    said = f"Of {told['points'] + 9} points, 9 were left out, because some scan does not show them"
     assert said in Page(render(found(told))).text
 
 
@@ -250,7 +250,7 @@ def test_every_length_of_the_headline_has_its_tile() -> None:
         (
             "none of these",
             "Do not quote Efat (the model lacks something that is not in the catalogue)",
-            "Look where model and data differ",
+            "Check where model and data differ",
         ),
         (
             "not told apart",
@@ -294,7 +294,7 @@ def test_warnings() -> None:
     gap["held_out_share"] = {"share": 0.3, "low": -0.2, "high": 0.6}
     assert "take the cause for a lead" in render(found(summary(gap_mm=gap)))
     gap = summary()["gap_mm"] | {"not_judged": ["80 N"]}
-    assert "What the effect leaves of 80 N is not judged" in render(found(summary(gap_mm=gap)))
+    assert "The gap of 80 N with the effect is not checked" in render(found(summary(gap_mm=gap)))
     assert "note warn" not in render(found())
 
 

@@ -43,7 +43,7 @@ def test_what_is_well_determined_is_quoted_and_what_is_not_is_not() -> None:
     assert shown.row("ηfat")[1:3] == ["93 weakly determined", "46 … 140"]
     assert '<tr class="weak"><td><i>η</i>' in shown.source
     assert "<tr><td><i>E</i>" in shown.source
-    assert "Intervals hold with 90 % and come from the derivatives" in shown.text
+    assert "Intervals are 90 % intervals from the derivatives" in shown.text
     assert "determine ηfat better: palpate diagnose" in shown.text
 
 
@@ -61,7 +61,7 @@ def test_only_ratios() -> None:
     ratio = IdentifiedRatio("eta_fat", "E_fat", 9.19, Interval(9.0, 9.4, 0.9, "tangents"), "value")
     text = page(known("ratio", "ratio", ratios=(ratio,))).text
     assert "Quote ratios only: ηfat / Efat = 9.19." in text
-    assert "State the force of the plates" in text
+    assert "State the plate force" in text
     assert "only its ratio" in text
 
 

@@ -134,7 +134,7 @@ def test_a_target_that_is_gone_is_said(made: Made, tmp_path: Path) -> None:
     ("lines", "said"),
     [
         (1, "have not been prepared yet"),
-        (2, "No candidate has a score yet, so there is no best one to show"),
+        (2, "No candidate has a score yet, so there is no best candidate to show"),
         (4, "0 complete generations of 5 candidates"),
         (-1, "Running it again continues it"),
     ],

@@ -46,7 +46,7 @@ def test_what_decides_between_the_suspects_comes_first() -> None:
         "distinguishes fibre fan from plate tilt; detection limits become 0.90 times as large"
     )
     assert worth(found[1]).startswith("reveals plate force")
-    assert worth(found[2]) == "the smallest magnitudes found become 0.90 times as large"
+    assert worth(found[2]) == "detection limits become 0.90 times as large"
     assert undecided(TOLD)
     assert not undecided(replace(TOLD, verdict="effect"))
 

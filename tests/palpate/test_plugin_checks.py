@@ -197,7 +197,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
     ),
     "an organ under another name": (
         lambda: check_organ(replace(BREAST_PLUGIN, name="udder"), BREAST_CASE),
-        "calls itself 'breast'",
+        "has the name 'breast'",
     ),
     "an organ whose checks are missing": (
         lambda: check_organ(
@@ -210,7 +210,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_what_is_broken_is_named(name: str) -> None:
+def test_error_names_violated_condition(name: str) -> None:
     check, words = BROKEN[name]
     with pytest.raises(AssertionError, match=words):
         check()

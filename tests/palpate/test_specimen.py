@@ -59,7 +59,7 @@ def test_a_pulled_bar_lengthens_by_force_over_stiffness(bar: palpate.Specimen) -
     assert gradient == pytest.approx(-expected / 200, rel=0.1)
 
 
-def test_the_holds_carry_what_stretches_the_bar(bar: palpate.Specimen) -> None:
+def test_hold_reaction_balances_stretching_force(bar: palpate.Specimen) -> None:
     result = bar.simulate("stretched", E_kpa=200)
     base = result.nodes_mm[:, 2] < 1e-6
     force = -result.reaction_n[base, 2].sum()
@@ -72,7 +72,7 @@ def test_the_holds_carry_what_stretches_the_bar(bar: palpate.Specimen) -> None:
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::UserWarning")
 @pytest.mark.parametrize("form", ["block", "mesh file"])
-def test_workers_of_a_client_compute_the_same(form: str, tmp_path: Path) -> None:
+def test_client_workers_give_equal_results(form: str, tmp_path: Path) -> None:
     keys = BAR
     if form == "mesh file":
         mesh = lattice((WIDTH, WIDTH, LENGTH), (3, 3, 5))
@@ -94,7 +94,7 @@ def test_workers_of_a_client_compute_the_same(form: str, tmp_path: Path) -> None
     assert len(list((tmp_path / "store" / "evaluations").iterdir())) == 1
 
 
-def test_what_is_unknown_or_missing_is_named(bar: palpate.Specimen) -> None:
+def test_error_names_unknown_or_missing_constants(bar: palpate.Specimen) -> None:
     with pytest.raises(palpate.InputError, match="did you mean 'pulled'"):
         bar.simulate("puled", E_kpa=200)
     with pytest.raises(palpate.InputError, match="needs E_kpa"):

@@ -35,14 +35,14 @@ def run(folder: Path, **where: Any) -> dict[int, tuple[Any, ...]]:
     return told(folder)
 
 
-def test_cluster_client_and_process_have_the_same_candidates(client: Any, tmp_path: Path) -> None:
+def test_cluster_client_and_process_give_equal_candidates(client: Any, tmp_path: Path) -> None:
     here = run(tmp_path / "here" / "demo", in_process=True)
     assert len(here) > 30
     assert run(tmp_path / "client" / "demo", client=client) == here
     assert client.status == "running"  # stays open
 
 
-def test_one_place_at_a_time(client: Any, tmp_path: Path) -> None:
+def test_rejects_several_places_at_once(client: Any, tmp_path: Path) -> None:
     study = palpate.Study(small_spec(), tmp_path / "demo")
     with pytest.raises(palpate.InputError, match="workers and in_process"):
         study.run(workers=2, in_process=True)

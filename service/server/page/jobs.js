@@ -168,7 +168,7 @@ const diagnosisForm = () => {
   const nodes = make("input", { type: "number", name: "nodes", value: "5000", min: "200", max: "500000" });
   const button = make("button", { class: "main" }, "Upload and diagnose");
   const form = make("form", { class: "submission" },
-    make("p", {}, "Choose the scans and the file that describes them, case.yaml. ", make("code", {}, "palpate new diagnosis NAME"), "writes a template."),
+    make("p", {}, "Choose the scans and the file that describes them, case.yaml. ", make("code", {}, "palpate new diagnosis NAME"), " writes a template."),
     make("fieldset", {}, make("legend", {}, "Case and scans"),
       make("label", {}, "files ", scans.files), make("label", {}, "folder ", scans.folder)),
     make("label", {}, "Nodes of the mesh ", nodes),

@@ -65,7 +65,7 @@ def test_rows_are_in_order_with_failures_among_them(tmp_path: Path) -> None:
     assert len(repr(found)) < 200
 
 
-def test_a_batch_and_a_study_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
+def test_batch_equals_study_exactly(tmp_path: Path) -> None:
     folder = tmp_path / "runs" / "demo"
     run(folder, SingleProcess())
     endings = StudyLog.read(StudyLayout(folder).journal).endings.values()
@@ -84,7 +84,7 @@ def test_a_batch_and_a_study_are_the_same_to_the_last_bit(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("after", [0, 1, 7])
-def test_an_interrupted_batch_equals_a_calm_one(tmp_path: Path, after: int) -> None:
+def test_interrupted_batch_equals_uninterrupted_one(tmp_path: Path, after: int) -> None:
     table = small_spec().search.space
     points = np.linspace(table.lower, table.upper, 12)
     columns = dict(zip(table.names, points.T, strict=True))
@@ -100,7 +100,7 @@ def test_an_interrupted_batch_equals_a_calm_one(tmp_path: Path, after: int) -> N
     assert len(executions(folder)) == len(executions(tmp_path / "calm" / "demo"))
 
 
-def test_a_crash_is_a_row_and_is_tried_again(tmp_path: Path) -> None:
+def test_crash_is_recorded_and_retried(tmp_path: Path) -> None:
     folder = tmp_path / "runs" / "demo"
     set_manners(folder.parent / "store", crash_above=0.011)
     found = evaluate(folder, TABLE)
@@ -152,7 +152,7 @@ def test_the_command_writes_a_table(place: Path, capsys: pytest.CaptureFixture[s
     assert rows[0]["gsf"] == float(written[0]["gsf"])
 
 
-def test_the_command_makes_a_design(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_evaluates_design(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["evaluate", "study.yaml", "--design", "sobol", "--n", "8", "--seed", "3", "--json"]
     assert main(options) == 0
     rows = json.loads(capsys.readouterr().out)
@@ -171,7 +171,7 @@ def test_the_command_makes_a_design(place: Path, capsys: pytest.CaptureFixture[s
         (["table.csv", "study.yaml", "--out", "scores.xlsx"], ".xlsx is not known"),
     ],
 )
-def test_the_command_refuses_before_work_starts(
+def test_command_rejects_invalid_input_before_work_starts(
     place: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     Path("table.csv").write_text("E_fat_kpa\n8\n-1\n")

@@ -93,7 +93,7 @@ def files(place: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("name", BAD_INPUTS)
-def test_one_message_exit_code_2_and_nothing_half_written(
+def test_error_message_exit_code_and_no_partial_files(
     run: Callable[[BadInput, Path], Ran], tmp_path: Path, name: str
 ) -> None:
     case, place = BAD_INPUTS[name], tmp_path / "place"
@@ -116,7 +116,7 @@ def test_one_message_exit_code_2_and_nothing_half_written(
 # --- interrupts --------------------------------------------------------------------
 
 
-def test_an_interrupt_that_no_command_has_noticed_is_said(
+def test_unhandled_interrupt_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stopped = typer.Typer()
@@ -133,7 +133,7 @@ def test_an_interrupt_that_no_command_has_noticed_is_said(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 # None: once it has begun.
 @pytest.mark.parametrize("after_s", [0.0, 0.3, pytest.param(None, marks=pytest.mark.slow)])
-def test_an_interrupt_says_how_to_go_on(
+def test_interrupt_prints_how_to_continue(
     palpate: dict[str, str], tmp_path: Path, number: int, after_s: float | None
 ) -> None:
     (tmp_path / "my study.yaml").write_text(STUDY)
@@ -179,7 +179,7 @@ def test_an_interrupt_says_how_to_go_on(
     ],
     ids=lambda environment: next(iter(environment)),
 )
-def test_strange_terminals_get_their_text(
+def test_output_on_unusual_terminals(
     palpate: dict[str, str], tmp_path: Path, environment: dict[str, str]
 ) -> None:
     done = subprocess.run(

@@ -26,7 +26,7 @@ def study(tmp_path: Path) -> Path:
     return folder
 
 
-def test_new_writes_a_study_that_can_be_read_and_keeps_what_is_there(call: Call) -> None:
+def test_new_writes_readable_study_and_keeps_existing_file(call: Call) -> None:
     code, out, _ = call("new", "breast", "mine")
     assert code == 0
     assert "palpate run mine.yaml" in out
@@ -64,7 +64,7 @@ def test_new_writes_a_study_that_can_be_read_and_keeps_what_is_there(call: Call)
         (["bench", "--nodes", "many"], "expected positive numbers"),
     ],
 )
-def test_mistakes_end_with_one_message_and_exit_code_2(
+def test_user_errors_give_one_message_and_exit_code_2(
     call: Call, tmp_path: Path, arguments: list[str], said: str
 ) -> None:
     (tmp_path / "study.yaml").write_text(SPEC)
@@ -76,7 +76,7 @@ def test_mistakes_end_with_one_message_and_exit_code_2(
     assert out == ""
 
 
-def test_a_wrong_option_is_a_mistake_too(call: Call) -> None:
+def test_wrong_option_gives_exit_code_2(call: Call) -> None:
     assert call("run", "--nosuch")[0] == 2
     assert call("--version")[0] == 0
     assert call("--help")[0] == 0
@@ -131,7 +131,7 @@ def test_a_damaged_journal_is_named(call: Call, study: Path) -> None:
         assert "line 1: not a JSON record" in err
 
 
-def test_an_image_is_imported_under_its_name_once(call: Call, tmp_path: Path) -> None:
+def test_imports_image_name_once(call: Call, tmp_path: Path) -> None:
     values = np.zeros((8, 9, 10), np.uint8)
     values[2:6, 2:7, 2:8] = 1
     values[3:5, 3:5, 3:5] = 2
@@ -163,7 +163,7 @@ def test_a_phantom_is_written_as_it_is_read(call: Call, tmp_path: Path) -> None:
     }
 
 
-def test_help_is_quick() -> None:
+def test_help_is_fast() -> None:
     """No command loads numba, Dask or Zarr before it is called."""
     code = (
         "import sys, palpate.service.cli\n"

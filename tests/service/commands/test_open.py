@@ -29,7 +29,7 @@ def test_the_page_of_a_diagnosis(
     assert capsys.readouterr().out == f"page: {page}\n"
 
 
-def test_a_page_that_is_older_than_its_journal_is_written_anew(
+def test_rewrites_outdated_page(
     tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal, page = tmp_path / "journal.jsonl", tmp_path / "report.html"

@@ -48,7 +48,7 @@ def interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_an_interrupted_study_ran_until_it_wrote_last(interrupted: Path) -> None:
+def test_interrupted_study_ends_at_last_record(interrupted: Path) -> None:
     assert study_results(interrupted).wall_s == pytest.approx(HOURS * 3600, abs=60)
     an_hour_ago = (datetime.now(UTC) - timedelta(hours=1)).timestamp()
     os.utime(StudyLayout(interrupted).journal, (an_hour_ago, an_hour_ago))
@@ -68,9 +68,7 @@ def test_a_running_study_runs_until_now(
     assert "3 of 12 candidates of the next" in said
 
 
-def test_a_study_that_is_being_prepared_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_status_of_study_in_preparation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study = Study(small_spec(), tmp_path / "demo", tasks=TASKS)  # type: ignore[arg-type]
     with study.folder.open() as journal:
         study.folder.begin(journal)

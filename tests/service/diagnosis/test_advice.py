@@ -29,7 +29,7 @@ TOLD = typed(
 )
 
 
-def test_what_decides_between_the_suspects_comes_first() -> None:
+def test_ranks_most_decisive_measurement_first() -> None:
     plan = plan_of(
         option("more of the same"),
         option("shows the force", reveals=("plate_force", "creep")),
@@ -83,7 +83,7 @@ def without_made(page: str) -> str:
 
 
 @pytest.mark.slow
-def test_the_command_says_what_to_measure_next(
+def test_command_prints_next_measurement(
     runs: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = (runs / "out" / "diagnosis.html").read_text()
@@ -103,14 +103,14 @@ def test_the_command_says_what_to_measure_next(
 
 
 @pytest.mark.slow
-def test_without_a_plan_nothing_is_said_of_it(
+def test_prints_no_advice_without_plan(
     runs: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main([*command(runs), "--no-plan", "--json"]) == 0
     assert "next_acquisitions" not in json.loads(capsys.readouterr().out)
 
 
-def test_the_bench_has_no_plan(
+def test_bench_experiment_has_no_plan(
     tmp_path: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "beam.yaml").write_text("organ: specimen\n")
@@ -121,7 +121,7 @@ def test_the_bench_has_no_plan(
 
 
 @pytest.mark.slow
-def test_a_plan_that_fails_takes_no_diagnosis_with_it(
+def test_failed_plan_keeps_diagnosis(
     runs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def fail(*arguments: Any) -> None:

@@ -74,7 +74,7 @@ def asked(folder: Path, store: Path) -> DiagnosisRequest:
 # What is found
 
 
-def test_the_tilt_and_the_constants_are_found(
+def test_finds_tilt_and_constants(
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
 ) -> None:
     summary, accused = diagnosed[1].summary, ("plate_tilt",)
@@ -95,7 +95,7 @@ def test_the_tilt_and_the_constants_are_found(
 
 
 @pytest.mark.slow
-def test_tasks_and_store_say_what_one_process_says(
+def test_tasks_and_store_agree_with_one_process(
     tilted: Path, diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis]
 ) -> None:
     """The generator, driven here without a store, says what tasks on a cluster do."""
@@ -182,7 +182,7 @@ def by_two_workers(
 
 
 @pytest.mark.slow
-def test_two_workers_say_the_same_to_the_last_bit(
+def test_two_workers_give_identical_results(
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
     by_two_workers: tuple[Path, DiagnosisRequest, FinishedDiagnosis],
 ) -> None:
@@ -204,7 +204,7 @@ def test_workers_need_the_store_and_nothing_else(
 
 
 @pytest.mark.slow
-def test_the_order_of_tasks_leaves_no_trace(
+def test_result_is_independent_of_task_order(
     tilted: Path,
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
     one_worker: Dispatcher,
@@ -223,7 +223,7 @@ def test_the_order_of_tasks_leaves_no_trace(
 
 
 @pytest.mark.slow
-def test_an_interrupted_diagnosis_goes_on(
+def test_interrupted_diagnosis_continues(
     tilted: Path,
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
     one_worker: Dispatcher,
@@ -260,7 +260,7 @@ def test_scans_are_prepared_once_for_all_processes(tilted: Path, tmp_path: Path)
     assert workers.asked == [*prepared, "calibrate_nominal", "calibrate_nominal"]
 
 
-def test_what_was_prepared_is_what_a_process_alone_makes(tilted: Path, tmp_path: Path) -> None:
+def test_prepared_data_agree_with_one_process(tilted: Path, tmp_path: Path) -> None:
     """Bit for bit."""
     request = asked(tilted, tmp_path / "store")
     own = DiagnosisStore(request).uncalibrated
@@ -282,7 +282,7 @@ def test_what_was_prepared_is_what_a_process_alone_makes(tilted: Path, tmp_path:
             assert np.array_equal(a, b)
 
 
-def test_what_is_missing_is_made_again_and_nothing_else(
+def test_recomputes_only_missing_data(
     tilted: Path,
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
     one_worker: Dispatcher,
@@ -332,7 +332,7 @@ def made(request: DiagnosisRequest) -> dict[str, int]:
     return {path.name: (path / "zarr.json").stat().st_mtime_ns for path in fields.iterdir()}
 
 
-def test_the_name_follows_the_scans_and_what_is_asked(tilted: Path, tmp_path: Path) -> None:
+def test_digest_depends_on_scans_and_request(tilted: Path, tmp_path: Path) -> None:
     folder = tmp_path / "case"
     shutil.copytree(tilted, folder)
     store = tmp_path / "store"
@@ -356,7 +356,7 @@ def test_a_worker_of_another_version_is_refused(
         calibrate_nominal(request)
 
 
-def test_points_that_calibration_did_not_keep_are_no_part(
+def test_excludes_points_dropped_by_calibration(
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
 ) -> None:
     points = DiagnosisStore(diagnosed[0]).uncalibrated.points
@@ -374,7 +374,7 @@ def copied(tilted: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(tilted, tmp_path / "case"))
 
 
-def test_the_command_refuses_before_it_opens_a_cluster(
+def test_command_rejects_input_before_opening_cluster(
     copied: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     loads_exchanged(copied)

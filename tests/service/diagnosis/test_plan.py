@@ -53,7 +53,7 @@ def record(planned: PlanSummary) -> Json:
     return dict(to_json(planned))
 
 
-def test_the_record_says_what_can_be_told(record: Json) -> None:
+def test_record_lists_detectable_effects(record: Json) -> None:
     assert record["case"] == "small"
     assert record["scans"] == ["12 N"]
     names = [e["name"] for e in record["effects"]]
@@ -68,7 +68,7 @@ def test_the_record_says_what_can_be_told(record: Json) -> None:
     assert not force["seen"]
 
 
-def test_what_else_could_be_measured_is_ranked(record: Json) -> None:
+def test_ranks_further_measurements(record: Json) -> None:
     found = {a["name"]: a for a in record["acquisitions"]}
     loads = {"a scan at 6 N", "a scan at 24 N", "a view, 12 N along x"}
     assert loads <= set(found) | {f"a scan at {n}" for n in record["not_simulated"]}
@@ -107,7 +107,7 @@ def test_the_console_names_effects_and_measurements(
     assert f"page: {runs / 'page.html'}" in said
 
 
-def test_the_page_shows_all_of_it(planned: PlanSummary, record: Json) -> None:
+def test_page_shows_complete_plan(planned: PlanSummary, record: Json) -> None:
     page = Page(render(planned))
     assert words.headline(planned) in page.text
     for effect in record["effects"]:
@@ -120,14 +120,14 @@ def test_the_page_shows_all_of_it(planned: PlanSummary, record: Json) -> None:
     assert render(planned) == render(planned)
 
 
-def test_nothing_to_plan_is_said(
+def test_reports_nothing_to_plan(
     tmp_path: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["plan", str(tmp_path), "--store", str(tmp_path / "store")]) == 2
     assert "expected a folder with case.yaml" in capsys.readouterr().err
 
 
-def test_words_for_what_is_silent_and_alike() -> None:
+def test_texts_for_undetectable_and_similar_effects() -> None:
     def effect(name: str, why_not: Any) -> PlannedEffect:
         return PlannedEffect(name, "", "", (), 0.5, None, 0.0, 1.0, not why_not, why_not)
 

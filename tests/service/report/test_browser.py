@@ -120,7 +120,7 @@ def shown(browser: Any, path: Path, width: int = WIDE, **options: Any) -> Shown:
 
 @pytest.mark.parametrize("which", ["study", "diagnosis"])
 @pytest.mark.parametrize(("width", "scheme"), [(WIDE, "dark"), (NARROW, "light")])
-def test_nothing_is_asked_for_nothing_fails_nothing_is_cut(
+def test_page_has_no_requests_errors_or_clipping(
     browser: Any, pages: dict[str, Path], which: str, width: int, scheme: str
 ) -> None:
     told = shown(browser, pages[which], width, color_scheme=scheme)
@@ -287,9 +287,7 @@ def test_colours_and_shapes_of_the_body_are_switched(browser: Any, pages: dict[s
     told.page.close()
 
 
-def test_charts_say_which_candidate_is_under_the_pointer(
-    browser: Any, pages: dict[str, Path]
-) -> None:
+def test_charts_show_candidate_under_pointer(browser: Any, pages: dict[str, Path]) -> None:
     told = shown(browser, pages["study"])
     chart = told.page.locator('svg.wide[data-chart="evaluations"]')
     chart.scroll_into_view_if_needed()

@@ -34,14 +34,14 @@ def page(source: str) -> Page:
 
 
 @pytest.mark.parametrize("made", CASES.values(), ids=CASES)
-def test_a_page_is_well_formed_and_needs_no_other_file(made: Callable[[], StudyData]) -> None:
+def test_page_is_well_formed_and_self_contained(made: Callable[[], StudyData]) -> None:
     source = render(made())
     page = Page(source)
     assert source.startswith("<!DOCTYPE html>")
     page.needs_no_other_file()
 
 
-def test_same_evidence_same_bytes(source: str) -> None:
+def test_page_is_reproducible(source: str) -> None:
     assert render(study_data()) == source
 
 
@@ -62,7 +62,7 @@ def test_every_number_of_the_results_is_in_the_page(page: Page) -> None:
     assert json.JSONDecoder().raw_decode(page.text, begin)[0] == study_json(results())
 
 
-def test_similarity_shows_where_the_fit_began(page: Page) -> None:
+def test_similarity_includes_undeformed_body(page: Page) -> None:
     glandular = page.row("glandular")
     before, after = glandular[1].split(" → ")
     assert 0.0 < float(before) < float(after) == 0.8904
@@ -102,7 +102,7 @@ def test_time_counts_and_throughput(page: Page) -> None:
         assert said in page.text, said
 
 
-def test_what_the_best_simulation_says(page: Page) -> None:
+def test_shows_solver_output_of_best_simulation(page: Page) -> None:
     for said in (
         "Plate displacement37.66 mm",
         "Force on the plate40 N",
@@ -117,7 +117,7 @@ def test_what_the_best_simulation_says(page: Page) -> None:
         assert said.replace(" ", "") in page.text.replace("\u202f", "").replace(" ", ""), said
 
 
-def test_nothing_yet_is_said_in_words() -> None:
+def test_page_without_results() -> None:
     text = Page(render(nothing_yet())).text
     assert "No estimates yet" in text
     assert "The search is still running" in text
@@ -136,12 +136,12 @@ def test_infinities_are_drawn_and_printed() -> None:
     ("state", "said"),
     [("running", "still running"), ("interrupted", "Running it again continues it")],
 )
-def test_an_unfinished_search_says_so(state: str, said: str) -> None:
+def test_page_of_unfinished_search(state: str, said: str) -> None:
     unfinished = study_data(results=results(state=state, stop_reason=None), bodies=Bodies())
     assert said in Page(render(unfinished)).text
 
 
-def test_an_estimate_at_its_bound_is_pointed_out() -> None:
+def test_warns_about_estimate_at_bound() -> None:
     plain = study_data(bodies=Bodies())
     assert "lies at the edge" not in Page(render(plain)).text
     estimates = dict(plain.results.estimates)
@@ -151,7 +151,7 @@ def test_an_estimate_at_its_bound_is_pointed_out() -> None:
 
 
 @pytest.mark.parametrize("lost", ["reference", "target", "best"])
-def test_a_lost_volume_leaves_the_others(lost: str) -> None:
+def test_shows_other_volumes_if_one_is_lost(lost: str) -> None:
     kept = {name: getattr(BODIES, name) for name in ("reference", "target", "best")}
     bodies = Bodies(**(kept | {lost: None, "missing": (f"The {lost} is gone.",)}))
     page = Page(render(study_data(bodies=bodies)))

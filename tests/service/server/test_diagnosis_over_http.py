@@ -114,7 +114,7 @@ def diagnosed_here(
 
 
 @pytest.mark.slow
-def test_a_diagnosis_over_http_is_that_of_the_command(
+def test_diagnosis_over_http_equals_command(
     served: ServiceProcess,
     real_client: Client,
     case: Path,
@@ -187,7 +187,7 @@ def test_a_study_that_has_run_is_diagnosed(
     assert lasting(page) == lasting((tmp_path / "out" / "diagnosis.html").read_text())
 
 
-def test_an_effect_that_is_misspelt_is_one_message(service: ServiceProcess, tmp_path: Path) -> None:
+def test_misspelt_effect_gives_one_message(service: ServiceProcess, tmp_path: Path) -> None:
     case = tmp_path / "misspelt"
     case.mkdir()
     for name in (SCANS[0], SCANS[2]):

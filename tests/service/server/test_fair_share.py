@@ -22,7 +22,7 @@ def simulate(
     return ended
 
 
-def test_equals_share_equally_whoever_came_first() -> None:
+def test_equal_jobs_share_equally() -> None:
     share = FairShare()
     jobs = [share.join(owner, 0, n) for n, owner in enumerate(["ann", "bob", "eve"])]
     ended = simulate(share, jobs, threads=6, rounds=3000)
@@ -38,7 +38,7 @@ def test_an_owner_of_many_jobs_gets_no_more_than_one_of_few() -> None:
     assert max(ended[j] for j in many) - min(ended[j] for j in many) < 100
 
 
-def test_higher_priority_takes_all_that_it_can_use_and_leaves_the_rest() -> None:
+def test_higher_priority_is_served_first() -> None:
     share = FairShare()
     low, high = share.join("ann", 0, 0), share.join("ann", 3, 1)
     assert [low.take(1), low.take(1)] == [True, True]

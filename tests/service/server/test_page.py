@@ -149,9 +149,7 @@ def test_a_failed_candidate_is_opened_with_its_constants_and_its_log(
     assert endings == page.locator("#failures .badge.crashed").count() > 0
 
 
-def test_a_page_that_is_left_before_it_appears_stays_away(
-    shown: Shown, served: ServiceProcess
-) -> None:
+def test_abandoned_view_does_not_appear(shown: Shown, served: ServiceProcess) -> None:
     set_manners(served.home / "store")
     with served.client() as client:
         client.submit_study(named("twice").replace("seed: 7", "seed: 12"))
@@ -168,7 +166,7 @@ def test_a_page_that_is_left_before_it_appears_stays_away(
     assert page.locator("#bodies").count() == page.locator("#workers").count() == 1
 
 
-def test_charts_answer_to_keys(shown: Shown, served: ServiceProcess) -> None:
+def test_charts_respond_to_keys(shown: Shown, served: ServiceProcess) -> None:
     set_manners(served.home / "store")
     with served.client() as client:
         client.submit_study(named("keys"))
@@ -224,7 +222,7 @@ def test_slices_slide_and_the_body_turns(shown: Shown, served: ServiceProcess) -
     assert turned == pytest.approx(azimuth - 30, abs=1)
 
 
-def test_bodies_that_are_ahead_of_the_page_are_not_waited_for(
+def test_does_not_wait_for_newer_bodies(
     shown: Shown, served: ServiceProcess, tmp_path: Path
 ) -> None:
     """A body is drawn of the best candidate there is by then, of which the page may not know."""
@@ -305,7 +303,7 @@ def test_an_empty_list_offers_a_first_step(browser: Any, tmp_path: Path, width: 
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(WIDE, "dark"), (NARROW, "light")])
-def test_nothing_is_cut_and_both_schemes_are_known(
+def test_no_clipping_in_light_and_dark_mode(
     shown: Shown, served: ServiceProcess, width: int, scheme: str
 ) -> None:
     with served.client() as client:
@@ -327,7 +325,7 @@ def test_nothing_is_cut_and_both_schemes_are_known(
     assert light == (scheme == "light")
 
 
-def test_a_stranger_watches_and_changes_nothing(browser: Any, served: ServiceProcess) -> None:
+def test_read_only_access_without_token(browser: Any, served: ServiceProcess) -> None:
     page = browser.new_page()
     page.set_default_timeout(PATIENCE_MS)
     loading: list[Any] = []

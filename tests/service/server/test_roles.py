@@ -70,9 +70,7 @@ def test_streams_end_with_their_token(tmp_path: Path) -> None:
     assert still_reads(stranger, service)
 
 
-def test_the_token_is_taken_out_of_the_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_removes_token_from_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PALPATE_TOKEN", "x" * 20)
     assert take_token() == "x" * 20
     assert "PALPATE_TOKEN" not in os.environ
@@ -108,7 +106,7 @@ def test_a_helper_imports_nothing_from_the_folder_it_runs_in(tmp_path: Path) -> 
     assert ended.stdout.startswith("palpate ")
 
 
-def test_a_report_that_fails_is_said(tmp_path: Path) -> None:
+def test_reports_failed_page(tmp_path: Path) -> None:
     with pytest.raises(ReportError, match="Error"):
         write_report(tmp_path, False)
 

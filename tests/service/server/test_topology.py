@@ -31,7 +31,7 @@ TOKEN = "a-token-of-the-tests"
 
 
 @pytest.mark.slow
-def test_a_study_goes_through_all_of_them(bucket: str, tmp_path: Path) -> None:
+def test_study_runs_on_every_topology(bucket: str, tmp_path: Path) -> None:
     store, port = f"{bucket}/store", unused_port()
     url = f"http://127.0.0.1:{port}"
     with plain_cluster(tmp_path, 2) as scheduler:

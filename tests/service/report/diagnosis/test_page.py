@@ -46,7 +46,7 @@ def page(source: str) -> Page:
 
 
 @pytest.mark.parametrize("told", VERDICTS.values(), ids=VERDICTS)
-def test_a_page_is_well_formed_and_needs_no_other_file(told: dict[str, Any]) -> None:
+def test_page_is_well_formed_and_self_contained(told: dict[str, Any]) -> None:
     source = render(found(told))
     page = Page(source)
     page.needs_no_other_file()
@@ -57,7 +57,7 @@ def test_a_page_is_well_formed_and_needs_no_other_file(told: dict[str, Any]) -> 
     assert {name: shown[name] for name in told} == told
 
 
-def test_same_diagnosis_same_bytes(source: str) -> None:
+def test_page_is_reproducible(source: str) -> None:
     assert render(found()) == source
 
 
@@ -69,7 +69,7 @@ def test_the_page_is_written_without_matplotlib() -> None:
     assert subprocess.run([sys.executable, "-c", asked], check=False).returncode == 0
 
 
-def test_the_verdict_says_cause_size_and_what_is_left_on_an_unseen_scan() -> None:
+def test_verdict_names_cause_magnitude_and_held_out_gap() -> None:
     assert sentence_of(summary()) == (
         "Model and data differ by 0.27 mm (0.23 to 0.31) beyond the noise. The cause is plate "
         "tilt (5.48 ± 0.27 deg, probability > 99 %). On scans not used in the fit, it "
@@ -78,7 +78,7 @@ def test_the_verdict_says_cause_size_and_what_is_left_on_an_unseen_scan() -> Non
     assert sentence_of(VERDICTS["one scan"]).endswith("It leaves 0.10 mm (0.00 to 0.20).")
 
 
-def test_a_pattern_without_size_is_not_called_a_gap_of_zero() -> None:
+def test_systematic_residual_below_noise() -> None:
     gap = summary()["gap_mm"]
     gap["before"] = gap["held_out_before"] = gap["before"] | {"gap_mm": 0.0, "low_mm": 0.0}
     said = sentence_of(summary(gap_mm=gap))
@@ -86,7 +86,7 @@ def test_a_pattern_without_size_is_not_called_a_gap_of_zero() -> None:
     assert said.endswith("leaves nothing above the noise (at most 0.15 mm).")
 
 
-def test_what_hides_is_said_where_the_scans_are_sure_of_it() -> None:
+def test_reports_supported_but_absorbed_effect() -> None:
     def said(probability: float) -> str:
         changed = copy.deepcopy(summary())
         (force,) = (one for one in changed["effects"] if one["name"] == "plate_force")
@@ -100,7 +100,7 @@ def test_what_hides_is_said_where_the_scans_are_sure_of_it() -> None:
     )
 
 
-def test_noise_that_is_stated_wrongly_or_uneven_is_said() -> None:
+def test_reports_wrong_or_uneven_noise() -> None:
     def said(stated: float, learnt: float, least: float, most: float) -> str:
         noise = {"interface": "outline", "stated_mm": stated, "learnt_mm": learnt}
         ends = {"least_mm": least, "most_mm": most}
@@ -117,7 +117,7 @@ def test_noise_that_is_stated_wrongly_or_uneven_is_said() -> None:
     )
 
 
-def test_noise_that_is_stated_wrongly_is_a_warning_and_no_part_of_the_headline() -> None:
+def test_wrong_noise_is_warning_outside_headline() -> None:
     noise = {"interface": "outline", "stated_mm": 0.2, "learnt_mm": 0.3}
     even = {"least_mm": 0.3, "most_mm": 0.3}
     shown = render(found(summary(noise=[noise | even])))
@@ -126,7 +126,7 @@ def test_noise_that_is_stated_wrongly_is_a_warning_and_no_part_of_the_headline()
     assert shown.count("stated too small") == 1
 
 
-def test_a_gap_of_micrometres_is_told_where_noise_is_smaller_still() -> None:
+def test_reports_gap_of_micrometres() -> None:
     gaps_mm = summary()["gap_mm"] | {
         "noise_floor": 0.0012,
         "before": gap(0.0031, 0.0027, 0.0035),
@@ -162,7 +162,7 @@ def test_other_verdicts(which: str, said: str) -> None:
     assert said in sentence_of(VERDICTS[which])
 
 
-def test_effects_with_magnitudes_and_the_hidden_ones_last_and_grey(source: str, page: Page) -> None:
+def test_absorbed_effects_are_last_and_grey(source: str, page: Page) -> None:
     tilt = page.row("plate tiltplate geometry")
     assert tilt[1] == "> 99 %"
     assert tilt[2].startswith("tilt depth 5.48 ± 0.27 degtilt across −0.04 ± 0.12 deg")
@@ -200,12 +200,12 @@ def test_regions_without_a_significant_gap_are_grey(source: str, page: Page) -> 
     assert "<tr><td>80 N" in source
 
 
-def test_all_that_is_not_in_the_catalogue_is_listed(page: Page) -> None:
+def test_lists_causes_outside_catalogue(page: Page) -> None:
     for what, why in CATALOGUE.not_simulated:
         assert page.row(what)[1] == why
 
 
-def test_points_that_a_scan_does_not_show_are_counted(page: Page) -> None:
+def test_counts_points_left_out(page: Page) -> None:
     assert "left out" not in page.text
     told = summary() | {"left_out": 9}
     said = f"Of {told['points'] + 9} points, 9 were left out, because some scan does not show them"
@@ -218,13 +218,13 @@ def test_the_set_of_several_causes_names_their_family() -> None:
     assert "The most probable family is plate geometry (> 99 %)." in text
 
 
-def test_a_family_that_is_improbable_is_not_mentioned() -> None:
+def test_omits_improbable_family() -> None:
     told = VERDICTS["not told apart"]
     faint = dict.fromkeys(told["families"], 0.06)
     assert "most probable family" not in Page(render(found(told | {"families": faint}))).text
 
 
-def test_every_length_of_the_headline_has_its_tile() -> None:
+def test_headline_lengths_agree_with_tiles() -> None:
     """What the headline rounds to is what the tiles say."""
     told = Page(render(found()))
     lengths = re.findall(r"(?:differ by|of) (\d\.\d\d) mm", sentence_of(summary()))
@@ -259,13 +259,13 @@ def test_every_length_of_the_headline_has_its_tile() -> None:
         ),
     ],
 )
-def test_what_follows_is_said(which: str, quote: str, following: str) -> None:
+def test_consequences(which: str, quote: str, following: str) -> None:
     text = Page(render(found(VERDICTS[which]))).text
     assert f"What to quote {quote}" in text
     assert f"Next {following}" in text or following in text[text.index("Next ") :][:120]
 
 
-def test_how_it_was_made_is_on_the_page() -> None:
+def test_page_shows_provenance() -> None:
     made = Made(
         "2026-11-22T10:05:00+00:00",
         "palpate diagnose cases/by-hand",
@@ -325,7 +325,7 @@ def rects(svg: Svg, *classes: str) -> list[tuple[str, float, float]]:
 
 
 @pytest.mark.parametrize("width", [980.0, 400.0])
-def test_bars_are_as_long_as_their_gaps(width: float) -> None:
+def test_bar_lengths_equal_gaps(width: float) -> None:
     gap = typed(summary()).gap_mm
     drawn = gaps([Judged("all", gap.before, gap.after)], 0.4367, "plate tilt", width)
     (_, zero, before), (_, also_zero, after) = rects(drawn)
@@ -358,13 +358,13 @@ def test_evidence_stacks_the_field_only_where_it_helps() -> None:
     assert [(x - zero) / per_nat for x in less[1:]] == pytest.approx([-2.0, 0.0], abs=0.05)
 
 
-def test_causes_of_the_90_percent_set_have_their_colour() -> None:
+def test_causes_in_90_percent_set_are_coloured() -> None:
     rows = [Cause("tilt", 0.7, True), Cause("flex", 0.25, True), Cause("no gap", 0.05, False)]
     colours = [bar[0] for bar in rects(probabilities(rows, 980.0))]
     assert colours == ["bar-after", "bar-after", "bar-before"]
 
 
-def test_colours_tell_sign_and_noise() -> None:
+def test_colours_show_sign_and_noise() -> None:
     """Three points: within the noise, outside and inside the scanned tissue."""
     points = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [4.0, 6.0, 6.0]])
     residual, noise = np.array([0.7, 1.0, -2.0]), np.full(3, 0.4)
@@ -397,12 +397,12 @@ def first_place(data: str) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def test_the_colour_scale_is_that_of_significant_residuals() -> None:
+def test_colour_scale_covers_significant_residuals() -> None:
     noise = np.full(100, 0.2)
     assert range_mm(np.full(100, 0.3), noise) == 0.5  # nothing stands out
     assert range_mm(np.append(np.full(99, 0.3), 3.0), noise) == 3.0
 
 
-def test_no_refit_no_chart_of_evidence() -> None:
+def test_no_evidence_chart_without_refits() -> None:
     assert "Evidence of the refits" not in render(found(nothing("no-gap")))
     assert "Evidence of the refits" in render(found())

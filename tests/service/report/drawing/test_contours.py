@@ -62,7 +62,7 @@ def test_a_line_ends_where_the_mask_ends() -> None:
     assert line.tolist() == [[6, 3], [0, 3]]
 
 
-def test_nothing_and_everything_have_no_line() -> None:
+def test_empty_and_full_masks_have_no_contour() -> None:
     for inside in (mask("..", ".."), mask("##", "##"), mask("#."), mask("#")):
         assert contours(inside) == []
 
@@ -84,7 +84,7 @@ def test_random_masks_have_the_area_of_their_pixels() -> None:
         assert sum(area(line) for line in lines) == expected
 
 
-def test_a_path_goes_in_steps() -> None:
+def test_path_uses_relative_steps() -> None:
     (line,) = contours(mask("...", ".#.", "..."))
     steps = path_of([line])
     x, y = line[0].tolist()

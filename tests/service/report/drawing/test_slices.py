@@ -41,7 +41,7 @@ def one_voxel() -> Volume:
         (SAGITTAL, 22.0, (2, 4), 1, 3, (9.5, 13.5, 29.5, 31.5)),  # up z, across x
     ],
 )
-def test_a_voxel_lands_where_its_coordinates_say(
+def test_voxel_position_agrees_with_coordinates(
     view: palette.IntEnum,
     at_mm: float,
     shape: tuple[int, int],
@@ -102,7 +102,7 @@ def test_difference_by_hand_in_boxes_that_differ() -> None:
     assert not np.isin(same.values, [T, C]).any()
 
 
-def test_the_frame_holds_all_bodies_and_no_box() -> None:
+def test_frame_contains_bodies_tightly() -> None:
     roomy = drawn("....", ".f..", "....")  # x from 1 to 3, y from 0.5 to 1.5
     left, right, bottom, top = frame_mm([roomy])
     assert (left, right, bottom, top) == pytest.approx((1 - 0.08, 3 + 0.08, 0.5 - 0.08, 1.5 + 0.08))

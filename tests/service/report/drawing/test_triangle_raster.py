@@ -5,7 +5,7 @@ import numpy as np
 from palpate.service.report.drawing.triangle_raster import NONE, front_triangles
 
 
-def test_a_triangle_covers_the_pixels_whose_middles_it_holds() -> None:
+def test_triangle_covers_pixels_with_centres_inside() -> None:
     """The lower left half of four by four pixels, a little less than its diagonal::
 
     #...
@@ -21,7 +21,7 @@ def test_a_triangle_covers_the_pixels_whose_middles_it_holds() -> None:
     np.testing.assert_array_equal(seen, expected)
 
 
-def test_the_nearest_triangle_is_seen_whatever_the_order_of_corners_and_triangles() -> None:
+def test_nearest_triangle_is_visible_in_any_order() -> None:
     """Against a test of every pixel with every triangle; some reach beyond the picture."""
     rng = np.random.default_rng(5)
     rows, columns = 17, 23

@@ -34,7 +34,7 @@ def page(identification: Identification | None, **changed: Any) -> Page:
     return Page(render(study_data(results=results(identification=identification, **changed))))
 
 
-def test_what_is_well_determined_is_quoted_and_what_is_not_is_not() -> None:
+def test_quotes_only_well_determined_constants() -> None:
     shown = page(known())
     assert (
         "Quote Efat = 10.1 (9.8 to 10.4) kPa; do not quote ηfat (weakly determined, 46 to 140 kPa)."
@@ -65,7 +65,7 @@ def test_only_ratios() -> None:
     assert "only its ratio" in text
 
 
-def test_nothing_is_known_of_a_study_without_tangents() -> None:
+def test_study_without_derivatives() -> None:
     text = page(known("unknown", "unknown", note="the simulation had no tangents")).text
     assert "Do not quote Efat and ηfat (no interval is known)." in text
     assert "There are no intervals: the simulation had no tangents." in text

@@ -1,4 +1,4 @@
-"""A forward simulation of a cornea from Python is in equilibrium, and has its derivatives."""
+"""Forward simulations of a cornea from Python: equilibrium and derivatives."""
 
 import doctest
 import json
@@ -47,7 +47,7 @@ def test_arrays_have_the_documented_shapes(result: palpate.CorneaSimulation) -> 
 def test_wall_force_balances_pressure() -> None:
     """Without a jet the section is an arc of a thin ring: stress = pressure x radius / thickness.
 
-    The stress varies over the thickness; its mean is that of the middle surface.
+    The stress varies over the thickness; its mean is the value at the middle surface.
     """
     radius, thickness, mmhg = 7.8, 0.45, 15.0
     section = {"radius_mm": radius, "central_mm": thickness, "peripheral_mm": thickness}

@@ -1,4 +1,4 @@
-"""A batch from Python scores what the forward model predicts."""
+"""Batches from Python agree with the forward model."""
 
 import pickle
 from pathlib import Path

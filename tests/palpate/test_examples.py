@@ -1,4 +1,4 @@
-"""The examples run as they are, on smaller meshes where they would take long."""
+"""The examples run unchanged, with smaller meshes if they are slow."""
 
 import runpy
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The public Python face: documented, typed, and nothing but what it promises."""
+"""The public Python interface: documented, typed and complete."""
 
 import doctest
 import inspect
@@ -45,7 +45,7 @@ def test_every_error_is_public() -> None:
 
 
 def returned_types(value: Any) -> Iterator[type]:
-    """Types of this project that a public function, or the methods of a public class, return."""
+    """Return the project's types returned by a public function or a public class's methods."""
     functions = [value] if inspect.isfunction(value) else []
     if inspect.isclass(value) and value.__module__.count(".") == 1:
         members = [m.fget if isinstance(m, property) else m for m in vars(value).values()]

@@ -1,4 +1,4 @@
-"""A forward simulation from Python is in equilibrium, and is what `palpate simulate` computes."""
+"""Forward simulations from Python: equilibrium, and agreement with `palpate simulate`."""
 
 import doctest
 import json
@@ -52,9 +52,9 @@ def test_arrays_have_the_documented_shapes(result: palpate.Simulation) -> None:
 
 
 def test_stress_balances_plate_force(result: palpate.Simulation) -> None:
-    """Stress along y, integrated over the body, is force times height: nothing else acts along y.
+    """The stress along y integrated over the body is force times height, the only load along y.
 
-    The wall of this body is held loosely along y, which takes up a little of it.
+    The elastic wall takes a small part of the load along y.
     """
     assert result.plate_force_n == pytest.approx(FORCE_N, rel=1e-3)
     x = result.deformed_nodes_mm

@@ -1,4 +1,4 @@
-"""What a notebook sees of finished studies, diagnoses and volumes."""
+"""Completed studies, diagnoses and volumes in a notebook."""
 
 import re
 import shutil
@@ -132,7 +132,7 @@ def measured() -> palpate.Diagnosis:
 
 
 def parts(name: str, value: Any, deep: int = 4) -> Iterator[tuple[str, Any]]:
-    """Every object of this project that is reached from one by its public attributes."""
+    """Yield the project's objects reachable from one by public attributes."""
     if isinstance(value, dict | tuple | list):
         items = value.items() if isinstance(value, dict) else enumerate(value[:3])
         for key, one in items:

@@ -1,4 +1,4 @@
-"""`palpate.Search`: ask and tell, for functions that Palpate does not compute."""
+"""`palpate.Search`: the ask-and-tell interface for arbitrary functions."""
 
 import doctest
 import math

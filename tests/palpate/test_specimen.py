@@ -1,4 +1,4 @@
-"""A bench specimen from Python deforms as textbooks say."""
+"""Bench specimens from Python agree with textbook solutions."""
 
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,7 @@ def test_a_pulled_bar_lengthens_by_force_over_stiffness(bar: palpate.Specimen) -
     middle = np.abs(result.nodes_mm[result.tetrahedra][:, :, 2].mean(axis=1) - LENGTH / 2) < 10
     stress = result.cauchy_stress_mpa[middle, 2, 2].mean()
     assert stress == pytest.approx(FORCE / WIDTH**2, rel=0.05)
-    # Nothing but the stiffness opposes the force: du/dE = -u / E, nearly.
+    # Only the stiffness opposes the force: du/dE is about -u / E.
     gradient = result.gradient("E_kpa")[top, 2].mean()
     assert gradient == pytest.approx(-expected / 200, rel=0.1)
 

@@ -1,4 +1,4 @@
-"""A study has the same candidates wherever its evaluations run."""
+"""The candidates of a study do not depend on where its evaluations run."""
 
 import os
 import subprocess
@@ -24,7 +24,7 @@ def _tasks_take_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
-    """A client of the cluster that a study without one would start."""
+    """Provide a client of the cluster that a study would start by default."""
     with open_cluster(workers=2) as cluster:
         yield cluster.client
 

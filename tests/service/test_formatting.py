@@ -1,4 +1,4 @@
-"""Words and numbers, as a reader wants them."""
+"""Formatting of numbers and names."""
 
 import doctest
 import math

@@ -1,4 +1,4 @@
-"""A table of candidates is understood or refused before any work starts."""
+"""Tables of candidates are parsed or rejected before any work starts."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,7 @@ COLUMNS = {"E_fat_kpa": np.array([8.0, 9.5]), "nu": [0.48, 0.49]}
 
 
 class Frame:
-    """Has of a pandas table what is needed."""
+    """A minimal stand-in for a pandas table."""
 
     columns = tuple(COLUMNS)
 

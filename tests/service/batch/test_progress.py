@@ -1,4 +1,4 @@
-"""The progress of a batch is counted and printed without a terminal."""
+"""Progress of a batch without a terminal."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""A batch agrees with a study to the last bit, and loses nothing when it is interrupted."""
+"""Batches equal studies exactly and survive interruptions."""
 
 import csv
 import json
@@ -29,7 +29,7 @@ TABLE = {"E_fat_kpa": [6.0, 8.0, 12.0, 8.0], "E_glandular_kpa": [20.0, 40.0, 78.
 
 
 class Stopped(SingleProcess):
-    """Is told to stop after some endings."""
+    """A runner that is asked to stop after some endings."""
 
     def __init__(self, after: int) -> None:
         self.left = after
@@ -126,7 +126,7 @@ def test_the_table_is_written_and_read_back(tmp_path: Path) -> None:
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a study, whose tasks take no time and run in this process."""
+    """Provide a folder with a study of trivial tasks in this process."""
 
     @contextmanager
     def here(*arguments: Any) -> Iterator[Session[SingleProcess]]:

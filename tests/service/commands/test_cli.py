@@ -1,4 +1,4 @@
-"""The commands: what they print, and how they end."""
+"""Output and exit codes of commands."""
 
 import json
 import subprocess
@@ -164,7 +164,7 @@ def test_a_phantom_is_written_as_it_is_read(call: Call, tmp_path: Path) -> None:
 
 
 def test_help_is_fast() -> None:
-    """No command loads numba, Dask or Zarr before it is called."""
+    """Commands load numba, Dask and Zarr only when called."""
     code = (
         "import sys, palpate.service.cli\n"
         "print([m for m in ('numba', 'dask', 'zarr') if m in sys.modules])"
@@ -198,7 +198,7 @@ def test_constants_of_a_law_are_listed_on_request(call: Call) -> None:
 
 
 def test_fit_law_with_few_points(call: Call, tmp_path: Path) -> None:
-    """Three points fix the modulus of one law; they cannot rank several, nor fix four constants."""
+    """Three points determine the modulus of one law, but neither a ranking nor four constants."""
     stretch = np.array([1.1, 1.2, 1.3])
     rows = [f"{x},{3 * (x - x**-2)}" for x in stretch]
     table = tmp_path / "table.csv"
@@ -216,7 +216,7 @@ def test_fit_law_with_few_points(call: Call, tmp_path: Path) -> None:
 
 
 def test_laws_are_fitted_to_tables(call: Call, tmp_path: Path) -> None:
-    """Tables of Fung's law with mu0 = 4 kPa and b = 2, by hand."""
+    """Tables of Fung's law with mu0 = 4 kPa and b = 2, computed by hand."""
     stretch = np.linspace(0.8, 1.5, 12)
     first = stretch**2 + 2 / stretch
     stress = 4 * np.exp(2 * (first - 3)) * (stretch - stretch**-2)

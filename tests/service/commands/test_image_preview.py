@@ -1,4 +1,4 @@
-"""`palpate import` shows what it understood, so that a slip of the axes can be seen."""
+"""The preview of `palpate import`, which reveals wrong axes."""
 
 import json
 import re

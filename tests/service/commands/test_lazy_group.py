@@ -1,4 +1,4 @@
-"""Commands that are listed without being imported."""
+"""Commands are listed without importing them."""
 
 import inspect
 import os
@@ -12,7 +12,7 @@ from palpate.service.cli import COMMANDS
 
 
 def complete(words: str) -> list[str]:
-    """Return what bash is offered after some words."""
+    """Return the bash completions after some words."""
     environment = os.environ | {
         "_PALPATE_COMPLETE": "complete_bash",
         "COMP_WORDS": words,

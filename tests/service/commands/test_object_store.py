@@ -1,4 +1,4 @@
-"""Commands on a store in a bucket: what cannot be used is one clear message and exit code 2."""
+"""Commands on a store in a bucket; an unusable one gives one message and exit code 2."""
 
 import json
 import os
@@ -26,7 +26,7 @@ Call = Callable[..., tuple[int, str, str]]
 
 @contextmanager
 def server_of(answer: Callable[[BaseHTTPRequestHandler], None]) -> Iterator[str]:
-    """An HTTP server of the test's own; its address."""
+    """Start an HTTP server and provide its address."""
 
     class Handler(BaseHTTPRequestHandler):
         def log_message(self, *_: Any) -> None:
@@ -62,7 +62,7 @@ def deny(handler: BaseHTTPRequestHandler) -> None:
 
 
 def without_conditions(address: str) -> Callable[[BaseHTTPRequestHandler], None]:
-    """Forward everything to `address` but the header If-None-Match, as some servers behave."""
+    """Forward requests to `address` without the header If-None-Match, like some servers."""
 
     def forward(handler: BaseHTTPRequestHandler) -> None:
         body = handler.rfile.read(int(handler.headers.get("Content-Length", 0)))
@@ -80,13 +80,13 @@ def without_conditions(address: str) -> Callable[[BaseHTTPRequestHandler], None]
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An address that leads nowhere is given up after half a second."""
+    """Limit the time for unreachable addresses to half a second."""
     monkeypatch.setattr(object_client, "FIRST_PATIENCE_S", 0.5)
 
 
 @pytest.fixture
 def study(bucket: str, tmp_path: Path) -> Path:
-    """A finished study whose store is in a bucket, with fields."""
+    """Provide a completed study with fields and a store in a bucket."""
     folder = tmp_path / "runs" / "demo"
     run(folder, Inline(), store=f"{bucket}/store")
     store = open_store(f"{bucket}/store")
@@ -216,7 +216,7 @@ def test_damage_is_set_aside_and_garbage_removed(call: Call, study: Path, bucket
     code, out, _ = call("store", "gc", *wanted, "--json")
     found = json.loads(out)
     assert code == 0
-    # The tangents at the best candidate belong to no candidate.
+    # The derivatives at the best candidate do not belong to a candidate.
     assert f"{place}/fields/part.zarr" in found["entries"]
     assert found["bytes"] > 100
     assert has_field(store, "part")

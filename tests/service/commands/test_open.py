@@ -1,4 +1,4 @@
-"""`palpate open`: the page that belongs to a folder, in a browser where there is one."""
+"""`palpate open`: the page of a folder, in a browser if there is one."""
 
 import os
 import webbrowser
@@ -12,7 +12,7 @@ from palpate.service.commands import open_
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Addresses that a browser was given."""
+    """Provide the list of addresses opened in the browser."""
     addresses: list[str] = []
     monkeypatch.setenv("BROWSER", "a-browser")
     monkeypatch.setattr(webbrowser, "open", lambda address: addresses.append(address) or True)

@@ -1,4 +1,4 @@
-"""`palpate schema` says what each file may hold."""
+"""JSON schemas printed by `palpate schema`."""
 
 import json
 from collections.abc import Callable, Iterator

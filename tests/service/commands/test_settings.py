@@ -1,4 +1,4 @@
-"""What holds where an option is not given, and what a command says of itself."""
+"""Defaults of options, logs and hints of commands."""
 
 import shlex
 import subprocess
@@ -108,11 +108,11 @@ def test_shells_can_complete_commands(shell: str) -> None:
     assert done.stderr == ""
 
 
-# --- the log, and how to go on ----------------------------------------------------------
+# --- the log, and how to continue -------------------------------------------------------
 
 
 class Crashing(Inline):
-    """Tells of an exception as a worker does."""
+    """A task that fails like one on a worker."""
 
     def __init__(self, *_: Any, **__: Any) -> None: ...
 
@@ -127,7 +127,7 @@ class Crashing(Inline):
 
 @pytest.fixture
 def without_cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Let `palpate run` compute by arithmetic, in this process."""
+    """Make `palpate run` use arithmetic stand-ins in this process."""
     from contextlib import contextmanager
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""How long a study has run is known in its first generation, too."""
+"""The run time of a study is known even in its first generation."""
 
 import os
 from collections.abc import Iterator
@@ -18,12 +18,12 @@ from tests.recovery.stand_ins import TASKS, Inline, small_spec
 HOURS = 3
 
 
-class Stopped(Exception):  # noqa: N818 - somebody pulls the plug
+class Stopped(Exception):  # noqa: N818 - simulates a power cut
     """Raised within the first generation."""
 
 
 class Interrupting(Inline):
-    """Evaluates three candidates, then stops."""
+    """A runner that stops after three evaluations."""
 
     def run(self, task: Any, calls: Any) -> Iterator[Any]:
         for number, ending in enumerate(super().run(task, calls)):
@@ -34,7 +34,7 @@ class Interrupting(Inline):
 
 @pytest.fixture
 def interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A study that was begun three hours ago, and stopped within its first generation."""
+    """Provide a study started three hours ago and stopped in its first generation."""
 
     class Earlier(datetime):
         @classmethod

@@ -1,4 +1,4 @@
-"""`palpate store`: damage is found and mended, garbage goes, studies move."""
+"""`palpate store`: checks and repairs, garbage collection, moving studies."""
 
 import json
 import os
@@ -26,7 +26,7 @@ Call = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
-    """A finished study, whose evaluations have fields and whose bodies are stored."""
+    """Provide a completed study with stored fields and bodies."""
     folder = tmp_path / "runs" / "demo"
     run(folder, Inline())
     store = open_store(tmp_path / "runs" / "store")
@@ -71,7 +71,7 @@ def test_damage_is_reported_set_aside_and_recreated(call: Call, study: Path) -> 
     found = json.loads(out)
     assert len(found["damaged"]) == 4
     assert len(list(Path(found["set_aside"], "evaluations").iterdir())) == 3
-    # A record without its field is set aside, too: all three are computed again.
+    # A record without its field is also set aside: all three are recomputed.
     before = len(executions(study))
     again = study.with_name("again")
     run(again, Inline())
@@ -130,7 +130,7 @@ def test_exported_study_continues_elsewhere(
     assert call("store", "check")[0] == 0
     assert json.loads(call("status", "demo", "--json")[1])["store"] == str(moved.parent / "store")
     again = moved.with_name("again")
-    run(again, Inline())  # the evaluations came along: none is computed again
+    run(again, Inline())  # the evaluations are in the archive: none is recomputed
     assert not set(executions(again)) & {ending[2] for ending in endings.values()}
     assert told(again) == endings
     assert len(ran) > 0

@@ -1,4 +1,4 @@
-"""Tables follow the terminal, and into a pipe they are written whole."""
+"""Tables fit the terminal and are complete in a pipe."""
 
 from io import StringIO
 

@@ -1,4 +1,4 @@
-"""How much is said beside a result: -q, -v and --log-level."""
+"""Verbosity options: -q, -v and --log-level."""
 
 import logging
 from collections.abc import Callable, Iterator

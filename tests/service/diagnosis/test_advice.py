@@ -1,4 +1,4 @@
-"""What to measure next: ranked by hand, and from a small cluster by the command."""
+"""Advice on further measurements: ranking, and the command on a small cluster."""
 
 import json
 import re
@@ -53,7 +53,7 @@ def test_ranks_most_decisive_measurement_first() -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def few_suspects() -> Iterator[None]:
-    """The diagnosis suspects two effects; the plan has the whole catalogue."""
+    """The diagnosis has two suspected effects, the plan the whole catalogue."""
 
     def few(source: Any, store: Any, nodes: int) -> Any:
         return request_for(source, store, nodes, effects=("plate_tilt", "fibre_fan"))
@@ -65,7 +65,7 @@ def few_suspects() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a case that was diagnosed and planned by one worker."""
+    """Provide a folder with a case diagnosed and planned by one worker."""
     folder = tmp_path_factory.mktemp("advice")
     write_case(folder / "small", {})
     assert main([*command(folder), "--plan", "--workers", "1"]) == 0
@@ -78,7 +78,7 @@ def command(folder: Path) -> list[str]:
 
 
 def without_made(page: str) -> str:
-    """Return a page without when and how fast it was made."""
+    """Return a page without its date and run time."""
     return re.sub(r"<dt>(Date|Run time)</dt><dd>.*?</dd>", "", page)
 
 

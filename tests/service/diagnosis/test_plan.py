@@ -1,4 +1,4 @@
-"""`palpate plan`: a case without loaded scans on a small cluster, its record, words and page."""
+"""`palpate plan` for a case without loaded scans: record, texts and page."""
 
 import json
 from dataclasses import replace
@@ -24,7 +24,7 @@ Json = dict[str, Any]
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the case lies and the plan is written."""
+    """Provide the folder of the case and of the plan."""
     folder = tmp_path_factory.mktemp("plan")
     write_meant(folder / "meant", [at_force(12)])
     return folder
@@ -32,7 +32,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def planned(runs: Path) -> PlanSummary:
-    """The plan, computed once by one worker process."""
+    """Provide the plan, computed once by one worker process."""
     out = str(runs / "page.html")
     command = ["plan", str(runs / "meant"), "--nodes", "600", "--workers", "1", "--out", out]
     assert main([*command, "--store", str(runs / "store"), "--json"]) == 0
@@ -49,7 +49,7 @@ def _again(runs: Path) -> PlanSummary:
 
 @pytest.fixture(scope="module")
 def record(planned: PlanSummary) -> Json:
-    """The same as JSON."""
+    """Provide the plan as JSON."""
     return dict(to_json(planned))
 
 

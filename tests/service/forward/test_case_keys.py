@@ -1,4 +1,4 @@
-"""Keys without their sections mean what a study file says."""
+"""Flat keys are equivalent to a study file."""
 
 import doctest
 
@@ -47,7 +47,7 @@ def test_keys_belong_to_one_section() -> None:
         spec = organ_spec(organ)
         keys = [key for door in _sections(spec.case).values() for key in door.model_fields]
         assert len(keys) == len(set(keys))
-        # The pressure of the eye is a key of the load and a constant: both mean the same.
+        # The intraocular pressure is a key of the load and a constant with the same meaning.
         assert set(keys) & set(spec.parameters.door_names) <= {"iop_mmhg"}
 
 

@@ -1,4 +1,4 @@
-"""The page of a study while it runs: always new, and never at the search's cost."""
+"""The live page of a running study: up to date, at a limited cost."""
 
 import time
 from pathlib import Path
@@ -17,7 +17,7 @@ ANY: Any = SimpleNamespace()
 
 @pytest.fixture
 def written(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Times at which a page was written; each takes 20 ms of computing."""
+    """A live page that records its times; each page takes 20 ms of computing."""
     times: list[float] = []
 
     def slowly(data: Any) -> str:
@@ -81,7 +81,7 @@ def test_the_end_of_the_run_does_not_wait_for_a_page(tmp_path: Path, written: li
         page.generation_ended(1, ANY)
         time.sleep(0.05)
         page.generation_ended(2, ANY)
-        _until(lambda: page.pages == 2)  # the first is not counted, so there is one more
+        _until(lambda: page.pages == 2)  # one more, because the first does not count
         page.generation_ended(3, ANY)
         began = time.monotonic()
     assert time.monotonic() - began < 2.0

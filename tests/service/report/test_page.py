@@ -1,4 +1,4 @@
-"""The page of evidence made by hand: well formed, self-contained, and it leaves nothing out."""
+"""The page of a hand-made study: well formed, self-contained and complete."""
 
 import json
 from collections.abc import Callable

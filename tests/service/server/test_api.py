@@ -1,4 +1,4 @@
-"""The API as a script uses it: submit, follow, pause, resume, cancel, results, files."""
+"""The API from scripts: submit, follow, pause, resume, cancel, results, files."""
 
 import time
 from pathlib import Path
@@ -41,7 +41,7 @@ def test_a_study_over_http_equals_one_run_here(
     records = [event.record for event in events if event.kind == "record"]
     lines = (service.home / "calm" / "journal.jsonl").read_text().splitlines()
     assert records == [unseal(line)[0] for line in lines] == list(client.journal("calm"))
-    # A stream that is continued gives the rest, each record once.
+    # A continued stream gives the remaining records, each once.
     position = next(e.position for e in events if e.record.get("candidate") == 7)
     rest = [e.record for e in client.follow("calm", position) if e.kind == "record"]
     assert rest == records[-len(rest) :]

@@ -1,4 +1,4 @@
-"""`palpate serve` and `palpate token` as they are typed."""
+"""`palpate serve` and `palpate token` on the command line."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Connections that ask nothing, and clients that ask too much at once."""
+"""Idle connections, and limits on concurrent requests."""
 
 import asyncio
 import socket
@@ -25,7 +25,7 @@ class Hasty(Connection):
 
 
 async def echo(scope: Scope, receive: Receive, send: Send) -> None:
-    """Read the body, wait as long as the path says, and answer."""
+    """Read the body, wait for the time in the path, and answer."""
     more = True
     while more:
         message = await receive()

@@ -1,4 +1,4 @@
-"""Sharing of slots, without any cluster: jobs that ask in turn, tasks that end in turn."""
+"""Fair sharing of slots, simulated without a cluster."""
 
 import random
 
@@ -8,7 +8,7 @@ from palpate.service.server.jobs.fair_share import FairShare, JobSlots
 def simulate(
     share: FairShare, jobs: list[JobSlots], threads: int, rounds: int
 ) -> dict[JobSlots, int]:
-    """All jobs want all they can get; in each round one task ends. Returns tasks by job."""
+    """Return tasks by job if all jobs take every slot and one task ends per round."""
     chance, ended = random.Random(1), dict.fromkeys(jobs, 0)
     running: list[JobSlots] = []
     for _ in range(rounds):
@@ -48,7 +48,7 @@ def test_higher_priority_is_served_first() -> None:
     assert high.take(1)
     low.give_back()
     assert high.take(1)
-    high.give_back()  # at the barrier of a generation: it asks for nothing
+    high.give_back()  # at the barrier of a generation: it requests nothing
     assert low.take(1)
     assert not high.take(1)
     low.give_back()

@@ -43,7 +43,7 @@ search:
   elite: 1
 seed: 3
 """
-# Of 20,000 evaluations, on a machine that is busy: to read them, and to draw them once.
+# Limits for 20,000 evaluations on a busy machine: reading them, and drawing them once.
 READ_S, DRAW_MS = 20.0, 250.0
 
 
@@ -66,7 +66,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def shown(browser: Any, served: ServiceProcess) -> Iterator[Shown]:
-    """The page, signed in by the address that the service prints."""
+    """Provide the page, signed in with the address printed by the service."""
     page = browser.new_page(viewport={"width": WIDE, "height": 900})
     page.set_default_timeout(PATIENCE_MS)
     told = Shown(page, served.url)
@@ -225,7 +225,7 @@ def test_slices_slide_and_the_body_turns(shown: Shown, served: ServiceProcess) -
 def test_does_not_wait_for_newer_bodies(
     shown: Shown, served: ServiceProcess, tmp_path: Path
 ) -> None:
-    """A body is drawn of the best candidate there is by then, of which the page may not know."""
+    """The drawn body may be of a newer best candidate than the page has."""
     text = named("ahead").replace("seed: 7", "seed: 10")
     run(tmp_path / "calm" / "ahead", Inline(), small_spec(text))
     scores = {c: e[4]["gsf"] for c, e in told(tmp_path / "calm" / "ahead").items() if e[4]}
@@ -406,7 +406,7 @@ def test_twenty_thousand_evaluations_stay_smooth(
 
 
 def fill_journal(client: Client, home: Path, name: str, count: int) -> None:
-    """Give a paused study a journal of so many evaluations."""
+    """Write a journal of many evaluations for a paused study."""
     client.submit_study(named(name, SLOW), priority=-100)
     client.change(name, "pause")
     while client.job(name).state == "running" or not (home / name / "journal.jsonl").exists():

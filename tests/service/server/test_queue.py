@@ -1,4 +1,4 @@
-"""The queue: a fold over its journal, and the states that a job may go through."""
+"""The queue as a fold over its journal, and the states of jobs."""
 
 from pathlib import Path
 

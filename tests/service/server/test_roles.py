@@ -1,4 +1,4 @@
-"""Roles of tokens; what a message and a helper of the service may show."""
+"""Roles of tokens, and information that messages and helpers may reveal."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""What strangers send: paths, bombs, floods, forged requests. The service stays up and says no."""
+"""Hostile input is rejected: paths, bombs, floods and forged requests."""
 
 import http.client
 import json
@@ -33,7 +33,7 @@ def secret(service: ServiceProcess) -> Path:
 
 
 def raw(service: ServiceProcess, method: str, path: str, **more: Any) -> tuple[int, bytes]:
-    """A request whose path nobody tidies up on the way."""
+    """Send a request without normalising its path."""
     where = urlsplit(service.url)
     connection = http.client.HTTPConnection(str(where.hostname), where.port, timeout=30)
     try:

@@ -1,4 +1,4 @@
-"""Uploads at the same time, uploads that are killed, and uploads that name other files."""
+"""Concurrent uploads, killed uploads, and uploads that name other files."""
 
 import asyncio
 import base64

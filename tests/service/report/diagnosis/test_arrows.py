@@ -1,4 +1,4 @@
-"""Arrows of a bench experiment: what they show, how long they are, and when there are none."""
+"""Arrows of a bench experiment: directions, lengths, and absence."""
 
 import re
 
@@ -13,7 +13,7 @@ POINTS = np.array([[x, y, z] for x in (0.0, 4.0) for y in (0.0, 8.0) for z in (0
 
 
 def maps_of(before: np.ndarray, after: np.ndarray | None = None) -> Arrays:
-    """Return maps as a diagnosis has them: components of points, then one load cell."""
+    """Return the maps of a diagnosis: components of points, then one load cell."""
     scans = len(before)
     reading = np.full((scans, 1), 77.0)
     maps = {

@@ -1,4 +1,4 @@
-"""The page of a diagnosis: self-contained, and true to the numbers."""
+"""The page of a diagnosis: self-contained and consistent with the record."""
 
 import copy
 import json
@@ -62,7 +62,7 @@ def test_page_is_reproducible(source: str) -> None:
 
 
 def test_the_page_is_written_without_matplotlib() -> None:
-    """Which alone would take as long to import as the page takes to write."""
+    """Importing it would take as long as writing the page."""
     asked = (
         "import sys, palpate.service.report.diagnosis.files; sys.exit('matplotlib' in sys.modules)"
     )
@@ -225,7 +225,7 @@ def test_omits_improbable_family() -> None:
 
 
 def test_headline_lengths_agree_with_tiles() -> None:
-    """What the headline rounds to is what the tiles say."""
+    """Headline and tiles are rounded alike."""
     told = Page(render(found()))
     lengths = re.findall(r"(?:differ by|of) (\d\.\d\d) mm", sentence_of(summary()))
     assert lengths == ["0.27", "0.31"]
@@ -314,7 +314,7 @@ def test_a_map_for_each_scan_and_interface() -> None:
 
 
 def rects(svg: Svg, *classes: str) -> list[tuple[str, float, float]]:
-    """Bars as (class, start, end) in pixels, those of the legend left out."""
+    """Return bars as (class, start, end) in pixels, without the legend."""
     drawing = ElementTree.fromstring(str(svg.markup("bars")))
     bars = [e for e in drawing.iter("rect") if e.get("height") == "15"]
     return [
@@ -383,7 +383,7 @@ def test_colours_show_sign_and_noise() -> None:
 
 
 def dots_of(svg: Svg) -> list[tuple[str, str | None, tuple[float, float]]]:
-    """Dots as (kind, colour, pixel), the first of each colour."""
+    """Return dots as (kind, colour, pixel), the first of each colour."""
     drawing = ElementTree.fromstring(str(svg.markup("dots")))
     paths = [path for path in drawing.iter("path") if "dots" in path.get("class", "").split()]
     return [

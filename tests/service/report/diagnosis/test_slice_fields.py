@@ -1,4 +1,4 @@
-"""Displacement and gap in slices: of an egg whose points move in proportion to its axes."""
+"""Displacement and gap in slices of an egg with displacements proportional to its axes."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The picture of a specimen: rings where points were measured, crosses where models put them."""
+"""The picture of a specimen: rings for measured points, crosses for predicted ones."""
 
 import re
 from dataclasses import replace
@@ -21,7 +21,7 @@ def summary(*states: MarkerState) -> Summary:
 
 
 def state(name: str, along_mm: float, left_mm: float) -> MarkerState:
-    """Points that move along z by `along_mm`; the third was not seen."""
+    """Return points that move along z by `along_mm`; the third was not measured."""
     seen = MarkerResidual("M", (0.0, 0.0, along_mm), (0.0, 0.0, left_mm), (0.0, 0.0, 0.0))
     hidden = MarkerResidual("M3", (NAN,) * 3, (NAN,) * 3, (NAN,) * 3)
     return MarkerState(name, None, (seen, seen, hidden))

@@ -1,4 +1,4 @@
-"""The pictures of where model and scan differ: bodies drawn as they lie, colours as they mean."""
+"""Pictures of the gap: positions and colours."""
 
 import re
 from dataclasses import replace
@@ -96,7 +96,7 @@ def square(z: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_triangle_has_the_colour_of_its_nearest_point() -> None:
-    """Two triangles: the point of one lies within the noise, that of the other does not."""
+    """Two triangles: the point of one is within the noise, the other's is not."""
     vertices, triangles = square(0.0)
     points = np.array([[3.0, 1.0, 0.0], [1.0, 3.0, 0.0]])
     values, spread = np.array([-1.0, 0.15]), np.array([0.1, 0.1])
@@ -119,7 +119,7 @@ def test_nearer_triangles_hide_farther_ones() -> None:
     for seen in seen_from_all_sides([Solid("outline", vertices, both, points)]):
         rows, columns = seen.front.shape
         assert seen.front[rows // 2, columns // 2] in (0, 1)
-        # The upper square is whole, and of the lower one an edge shows below it.
+        # The upper square is complete; an edge of the lower one is visible below it.
         shown = np.bincount(seen.front[seen.front >= 0], minlength=4)
         assert shown[0] == pytest.approx(shown[1], rel=0.02)
         assert 0 < shown[2:].sum() < shown[:2].sum() / 2
@@ -196,7 +196,7 @@ def test_excess_length_is_marked_at_ends() -> None:
 
 
 def test_sections_align_with_axes() -> None:
-    """The frame is that of the scan; what the model has beyond it is cut off."""
+    """The frame is the scan's; parts of the model outside are cut off."""
     seen, model = egg(np.array([18.0, 16.0, 14.0])), egg(np.array([27.0, 16.0, 14.0]))
     drawing = ElementTree.fromstring(
         str(overlays(seen, {"nominal model": model}, (0.0, 0.0, 0.0)).markup("sections"))
@@ -223,7 +223,7 @@ def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: FinishedDiagnosis) 
     row = int((LUMP_MM[1] - bottom) / (top - bottom) * rows)
     red, green, _, _ = pixels[row, column]
     assert red > 1.5 * green  # purple: stiffer
-    # The other sign on the other side.
+    # The opposite sign on the other side.
     red, green, _, _ = pixels[rows - 1 - row, columns - 1 - column]
     assert green > red
 

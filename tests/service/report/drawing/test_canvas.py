@@ -1,4 +1,4 @@
-"""A figure as text: the same bytes for the same figure."""
+"""Reproducible figures as text."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""What is packed into a page is what its script unpacks."""
+"""Packed arrays are unpacked without change."""
 
 import base64
 import json

@@ -1,4 +1,4 @@
-"""A section as a PNG, read by another reader."""
+"""Sections as PNG, checked with an independent reader."""
 
 import base64
 import io

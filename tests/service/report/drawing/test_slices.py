@@ -20,7 +20,7 @@ CORONAL, TRANSVERSE, SAGITTAL = VIEWS
 
 
 def drawn(*rows: str, origin: tuple[float, float] = (0.0, 0.0)) -> Section:
-    """A section as it is seen: the first row at the top; a dot is air, f fat, g gland."""
+    """Return a section from text, top row first; a dot is air, f fat, g gland."""
     labels = {".": Tissue.AIR, "f": Tissue.FAT, "g": Tissue.GLANDULAR}
     values = [[labels[sign] for sign in row] for row in reversed(rows)]
     return Section(np.array(values, np.uint8), (2.0, 1.0), origin)
@@ -111,7 +111,7 @@ def test_frame_contains_bodies_tightly() -> None:
 
 
 def _lightness(colour: str) -> float:
-    """CIE L* of an sRGB colour."""
+    """Return CIE L* of an sRGB colour."""
     rgb = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     y = float(linear @ [0.2126, 0.7152, 0.0722])

@@ -1,4 +1,4 @@
-"""Charts of a search: marks stand where their values are."""
+"""Charts of a search: marks are at their values."""
 
 import math
 import re
@@ -77,7 +77,7 @@ def test_marks_are_at_their_values(width: float) -> None:
 
 @pytest.mark.parametrize("width", [900.0, 400.0])
 def test_nothing_is_drawn_outside_chart(width: float) -> None:
-    """Marks and text begin inside; text is taken to be as wide as its letters."""
+    """Marks and text start inside; the width of text is estimated from its letters."""
     for svg in (
         study_charts.convergence(points(), [-1.0, -2.0], [0.0, -0.75], width),
         study_charts.ranges([FOUND], {"E": [15.0]}, width),

@@ -1,4 +1,4 @@
-"""What may be quoted of a study, and what to do next, for every kind of ending."""
+"""Quotable constants and next steps for every kind of ending."""
 
 from dataclasses import replace
 from typing import Any

@@ -35,12 +35,12 @@ search:
 
 
 class Here(Dispatcher):
-    """Runs tasks in this process, one after the other."""
+    """A runner of tasks in this process."""
 
     threads = 1
 
     def __init__(self) -> None:
-        """No client is needed."""
+        """Do nothing; no client is needed."""
 
     def call(self, task: Callable[..., Any], *arguments: Any) -> Any:
         return task(*arguments)
@@ -63,7 +63,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 def copied(made: Made, tmp_path: Path) -> Path:
-    """The study, moved to another place together with its store."""
+    """Provide the study, moved together with its store."""
     here = tmp_path / "runs"
     shutil.copytree(made[0].parent, here)
     journal = here / "small" / "journal.jsonl"

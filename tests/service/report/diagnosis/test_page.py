@@ -112,8 +112,8 @@ def test_reports_wrong_or_uneven_noise() -> None:
         "show 0.30 mm."
     )
     assert said(0.3, 0.3, 0.22, 0.41) == (
-        " The outline interface is drawn less exactly in one part of the body than in another: "
-        "with 0.22 to 0.41 mm of noise."
+        " The outline interface is segmented less accurately in one part of the body than in "
+        "another: its noise is 0.22 to 0.41 mm."
     )
 
 
@@ -240,7 +240,7 @@ def test_headline_lengths_agree_with_tiles() -> None:
             "effect",
             "Quote Efat = 11 (10.7 to 11.3) kPa and η = 60.1 (55 to 66) kPa, fitted with plate "
             "tilt.",
-            "Put plate",
+            "Add plate",
         ),
         (
             "no gap",
@@ -292,7 +292,7 @@ def test_warnings() -> None:
     assert "The refit of plate flex did not converge" in render(found(summary(refits=refits)))
     gap = summary()["gap_mm"]
     gap["held_out_share"] = {"share": 0.3, "low": -0.2, "high": 0.6}
-    assert "take the cause for a lead" in render(found(summary(gap_mm=gap)))
+    assert "treat this cause as a lead" in render(found(summary(gap_mm=gap)))
     gap = summary()["gap_mm"] | {"not_judged": ["80 N"]}
     assert "The gap of 80 N with the effect is not checked" in render(found(summary(gap_mm=gap)))
     assert "note warn" not in render(found())

@@ -69,7 +69,7 @@ def test_middle_of_a_tissue_in_mm() -> None:
 
 
 def test_air_has_no_middle() -> None:
-    with pytest.raises(InputError, match="nothing but air"):
+    with pytest.raises(InputError, match="only air"):
         middle_mm(Volume(np.zeros((2, 2, 2), np.uint8), (1.0, 1.0, 1.0)), [Tissue.FAT])
 
 

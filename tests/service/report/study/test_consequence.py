@@ -81,7 +81,7 @@ def test_an_estimate_at_its_bound_is_not_quoted() -> None:
 
 @pytest.mark.parametrize(
     ("state", "said"),
-    [("running", "written again after every generation"), ("interrupted", "palpate run /nowhere")],
+    [("running", "updated after every generation"), ("interrupted", "palpate run /nowhere")],
 )
 def test_an_unfinished_search_is_not_quoted(state: str, said: str) -> None:
     text = page(None, state=state, stop_reason=None).text
@@ -102,7 +102,7 @@ def test_headline_tile_table_and_chart_round_alike() -> None:
     tiles = shown.source[shown.source.index('class="tiles"') :][:900]
     assert "0.890" in tiles
     assert "0.396" in tiles
-    assert "lie 0.396 mm" in shown.text
+    assert "are 0.396 mm" in shown.text
     assert shown.text.count("10.1 kPa") == 1
     charts = "".join(text for d in shown.drawings() for text in d.itertext())
     assert "10.1" in charts

@@ -1,19 +1,19 @@
-"""Find the stiffness of living tissue from images, from Python.
+"""Python interface to Palpate, which finds the stiffness of living tissue from images.
 
 A study searches elastic constants until the simulated deformation of a body agrees with
-the imaged one. A diagnosis says what the model still lacks. Both run on a Dask cluster,
+the imaged one. A diagnosis finds what the model lacks. Both run on a Dask cluster,
 by default on processes of this machine, and continue where they were interrupted.
 
-Run a study and read what it has found::
+Run a study and read its results::
 
     import palpate
 
-    if __name__ == "__main__":                      # workers are processes of their own
+    if __name__ == "__main__":                      # workers are separate processes
         study = palpate.Study.from_file("demo.yaml")
         results = study.run(workers=2)
         fat = results.estimates["E_fat"]
         fat.estimate, fat.interval, fat.unit        # such as 10.1, (9.8, 10.4), "kPa"
-        fat.quotable, fat.reasons                   # whether it may be quoted, and why not
+        fat.quotable, fat.reasons                   # quotability, and reasons against it
         results.samples(1000)["E_fat_kpa"]          # draws from the posterior
         results.to_frame()                          # every evaluation, a pandas table
         results.plot_posterior()                    # a Matplotlib figure
@@ -23,26 +23,26 @@ Compare studies that have run::
 
     palpate.compare("runs/a", "runs/b").write_page("comparison.html")
 
-Simulate once, or evaluate candidates of your own::
+Simulate once, or evaluate your own candidates::
 
     model = palpate.Breast(palpate.phantom(), nodes=5000, force_n=60)
     model.simulate(E_fat_kpa=8).cauchy_stress_mpa   # shape (elements, 3, 3)
     study.evaluate({"E_fat_kpa": [8, 10]})["gsf"]
 
-Diagnose what a folder of scans, a study or a bench experiment lacks::
+Diagnose a folder of scans, a study or a bench experiment::
 
     diagnosis = palpate.diagnose("patient-7")
     diagnosis.summary.verdict, diagnosis.summary.primary
 
-Or let a service of `palpate serve` do the work, and read it from anywhere::
+Use a service started by `palpate serve`::
 
     with palpate.connect("http://127.0.0.1:8780") as service:
         job = service.submit("demo.yaml", priority=5)
         job.wait(progress=True)
         job.results["estimates"]["E_fat"]["estimate"]
 
-Units are mm, N, s; elastic constants carry their unit in their name (``E_fat_kpa``) or
-beside the number.
+Units are mm, N, s; elastic constants have their unit in their name (``E_fat_kpa``) or
+next to the number.
 
 Examples
 --------
@@ -63,7 +63,7 @@ Examples
 
 from importlib import import_module
 
-# Not from `typing`, which takes a while to load: until the command listens, Ctrl-C is a traceback.
+# Not from `typing`, which is slow to load: before the command starts, Ctrl-C gives a traceback.
 TYPE_CHECKING = False
 
 if TYPE_CHECKING:
@@ -102,8 +102,8 @@ if TYPE_CHECKING:
 
     __version__: str
 
-# Names are loaded when they are first used: the command `palpate` starts with this package
-# and must be able to say what is wrong with an installation whose other packages fail.
+# Names are loaded on first use: the command `palpate` imports this package first and must be able
+# to report an installation with broken dependencies.
 _HOMES = {
     "Diagnosis": "palpate.diagnosis",
     "diagnose": "palpate.diagnosis",

@@ -1,4 +1,4 @@
-"""Runs the command `palpate`."""
+"""Entry point of the command `palpate`."""
 
 import sys
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
     try:
-        # Inside of the handler: Ctrl-C may come while modules are being loaded.
+        # Inside the handler, because Ctrl-C may come while modules are loaded.
         from palpate.service.cli import main as run
 
         return run(arguments)

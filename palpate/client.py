@@ -1,4 +1,4 @@
-"""A service that runs elsewhere: submit studies and diagnoses, follow them, read results."""
+"""A remote service: submit studies and diagnoses, follow them, read results."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -23,21 +23,21 @@ ENDED = {"finished", "failed", "cancelled"}
 
 
 def connect(url: str = "http://127.0.0.1:8780", token: str | None = None) -> "Service":
-    """Connect to a service that `palpate serve` runs.
+    """Connect to a service started by `palpate serve`.
 
     Parameters
     ----------
     url : str
     token : str, optional
-        Of `palpate token new NAME`; default: the variable PALPATE_TOKEN. Without one
-        reading alone is allowed.
+        From `palpate token new NAME`; default: the variable PALPATE_TOKEN. Without a token,
+        access is read-only.
 
     Raises
     ------
     InputError
-        If `url` is no address.
+        If `url` is not an address.
     ClusterError
-        If nobody answers there.
+        If there is no answer.
     """
     client = Client(url, token, patience_s=5.0)
     try:
@@ -69,7 +69,7 @@ class Service:
         accept_new_code: bool = False,
         anyway: bool = False,
     ) -> "Job":
-        """Queue a study; images of this machine that it names are uploaded first.
+        """Queue a study; local images that it names are uploaded first.
 
         Parameters
         ----------
@@ -78,7 +78,7 @@ class Service:
         priority : int
             Studies of higher priority get workers first, -100 to 100.
         key : str
-            A text of your own; submitting the same key again gives the same job.
+            Any text; submitting the same key again returns the same job.
         accept_new_code : bool
             Continue although the code has changed since the study last ran.
         anyway : bool
@@ -87,7 +87,7 @@ class Service:
         Raises
         ------
         InputError
-            If the study makes no sense, or an image cannot be read.
+            If the study is not valid, or an image cannot be read.
         """
         data = with_uploaded_images(self.client, study)
         job = self.client.submit_study(
@@ -105,12 +105,12 @@ class Service:
         priority: int = 0,
         key: str = "",
     ) -> "Job":
-        """Queue a diagnosis of a study of the service, or of a folder of scans of this machine.
+        """Queue a diagnosis of a study on the service, or of a local folder of scans.
 
         Raises
         ------
         InputError
-            If the folder holds nothing that can be uploaded.
+            If the folder has no files to upload.
         """
         options: dict[str, Any] = {"nodes": nodes, "effects": effects, "anyway": anyway}
         options |= {"priority": priority, "key": key}
@@ -119,32 +119,32 @@ class Service:
         folder = Path(source)
         files = sorted(p for p in folder.iterdir() if p.is_file()) if folder.is_dir() else []
         if not files:
-            raise InputError(f"{folder} is no folder with a case and its scans.")
+            raise InputError(f"{folder} is not a folder with a case and its scans.")
         for file in files:
             self.client.upload(file, folder.resolve().name)
         upload = folder.resolve().name
         return Job(self.client, self.client.submit_diagnosis(upload=upload, **options))
 
     def jobs(self) -> "list[Job]":
-        """Return all studies and diagnoses, the last submitted first."""
+        """Return all studies and diagnoses, newest first."""
         return [Job(self.client, job) for job in self.client.jobs()]
 
     def job(self, identifier: str) -> "Job":
-        """Return one by its name in the service.
+        """Return a job by its name on the service.
 
         Raises
         ------
         InputError
-            If there is none.
+            If there is no such job.
         """
         return Job(self.client, self.client.job(identifier))
 
     def cluster(self) -> ClusterView:
-        """Return what the cluster can do and does."""
+        """Return the capacity and load of the cluster."""
         return self.client.cluster()
 
     def close(self) -> None:
-        """Close the connection; jobs go on."""
+        """Close the connection; jobs continue."""
         self.client.close()
 
     def __enter__(self) -> Self:
@@ -155,7 +155,7 @@ class Service:
 
 
 class Job:
-    """A study or a diagnosis of a service.
+    """A study or a diagnosis on a service.
 
     Parameters
     ----------
@@ -176,23 +176,23 @@ class Job:
 
     @property
     def status(self) -> JobView:
-        """Return the job as it is now."""
+        """Return the current state of the job."""
         self._view = self.client.job(self.id)
         return self._view
 
     def follow(self, since: int = 0) -> Iterator[JobEvent]:
-        """Yield what happens, from the beginning or a position on, until the job has ended."""
+        """Yield events, from the beginning or from a position, until the job ends."""
         for event in self.client.follow(self.id, since):
             self._view = event.job or self._view
             yield event
 
     def wait(self, *, progress: bool = False) -> JobView:
-        """Return the job when it has ended.
+        """Wait for the job to end and return it.
 
         Parameters
         ----------
         progress : bool
-            Write a line, renewed once a second; in a notebook, too.
+            Show a line, updated once a second; also in a notebook.
 
         Raises
         ------
@@ -215,24 +215,24 @@ class Job:
         return self._view
 
     def pause(self) -> JobView:
-        """Stop it for a while; what is finished is kept."""
+        """Pause the job; completed work is saved."""
         return self.client.change(self.id, "pause")
 
     def resume(self) -> JobView:
-        """Let it go on after a pause or a failure."""
+        """Resume the job after a pause or a failure."""
         return self.client.change(self.id, "resume")
 
     def cancel(self) -> JobView:
-        """Stop it for good."""
+        """Cancel the job permanently."""
         return self.client.change(self.id, "cancel")
 
     @property
     def results(self) -> dict[str, Any]:
-        """Return what it has found: as `palpate report --json`, or the record of a diagnosis."""
+        """Return a study's results as `palpate report --json`, or a diagnosis record."""
         return self.client.results(self.id)
 
     def candidates(self) -> list[dict[str, Any]]:
-        """Return the records of all evaluations that have ended, in the order of candidates."""
+        """Return the records of all completed evaluations, in the order of candidates."""
         records = [r for r in self.client.journal(self.id) if r.get("kind") == "evaluation"]
         for record in records:
             record["score"] = to_number(record["score"])
@@ -256,12 +256,12 @@ class Job:
         return made
 
     def download(self, name: str, folder: str | Path = ".") -> Path:
-        """Write one of its files, such as report.html, into a folder; return its path."""
+        """Write a file of the job, such as report.html, into a folder; return its path."""
         return self.client.download(self.id, name, Path(folder) / name)
 
 
 def describe(job: JobView) -> str:
-    """Say in a line how far a job is."""
+    """Return the progress of a job as one line of text."""
     text = job.state + (f": {job.reason or job.note}" if job.reason or job.note else "")
     if job.evaluations is not None:
         ended = job.evaluations

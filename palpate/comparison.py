@@ -1,4 +1,4 @@
-"""Several studies side by side."""
+"""Comparison of studies."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Comparison(StudyComparison):
-    """Several studies side by side; see `compare`.
+    """A comparison of studies; see `compare`.
 
     - ``studies``: of each, ``label``, ``results`` (see `StudyResults`) and ``lowest_scores``, the
       lowest score after 1, 2, 3 ... evaluations,
@@ -24,7 +24,7 @@ class Comparison(StudyComparison):
 
     @classmethod
     def of(cls, found: StudyComparison) -> Self:
-        """Return the same comparison, which a notebook can show."""
+        """Return the comparison in this class, which notebooks can show."""
         return cls(found.studies, found.settings, found.axis)
 
     def to_frame(self) -> "DataFrame":
@@ -61,7 +61,7 @@ def compare(*studies: Study | str | Path) -> Comparison:
     Raises
     ------
     InputError
-        If there are fewer than two, one is given twice, or a folder holds no study.
+        If there are fewer than two, one is given twice, or a folder is not a study.
     JournalError
         If a journal is damaged.
     """

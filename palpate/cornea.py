@@ -23,8 +23,8 @@ __all__ = ["Cornea", "CorneaSimulation"]
 class CorneaSimulation:
     """One simulation of a section of n nodes and m triangles of six nodes, q points in each.
 
-    A simulation that does not converge is an ordinary result: `converged` is False, `reason` says
-    why, and the arrays are those of the last state in equilibrium.
+    A simulation that does not converge is an ordinary result: `converged` is False, `reason`
+    explains it, and the arrays describe the last state in equilibrium.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class CorneaSimulation:
 
     @property
     def deformation_gradient(self) -> FloatArray:
-        """F at each point, from the state without stress where the model has one.
+        """F at each point, relative to the stress-free state if the model has one.
 
         Shape (m, q, 3, 3); the third axis is normal to the section. With the additive prestress,
         F is measured from the image.
@@ -80,22 +80,22 @@ class CorneaSimulation:
         return self.loaded.fields[1]
 
     def gradient(self, name: str) -> FloatArray:
-        """Differentiate the displacement by a constant.
+        """Differentiate the displacement with respect to a constant.
 
         Parameters
         ----------
         name : str
-            As in a study file, such as ``"mu1_pa"``.
+            Name in a study file, such as ``"mu1_pa"``.
 
         Returns
         -------
         ndarray, shape (n, 2)
-            In mm per unit of the constant, such as mm per Pa.
+            Derivative in mm per unit of the constant, such as mm per Pa.
 
         Raises
         ------
         InputError
-            If there is no such constant, or the simulation did not converge.
+            If the constant is unknown, or the simulation did not converge.
         """
         return self.loaded.gradient(self.model.case.vocabulary.at_door(name))
 
@@ -110,12 +110,12 @@ class Cornea:
     **keys
         Keys below ``case`` in a study file, without their section: ``section`` or ``frame``;
         ``elements``; ``kind``, ``convention``, ``prestress``, ``order_terms_by``; ``iop_mmhg``,
-        ``jet``; and constants that are held, such as ``mu1_pa=80``. Defaults are those of a study.
+        ``jet``; and held constants, such as ``mu1_pa=80``. The defaults are the same as in a study.
 
     Raises
     ------
     InputError
-        Naming every key that makes no sense, or the reason why the section cannot be simulated.
+        If a key is not valid or the section cannot be simulated; the message has every reason.
 
     Examples
     --------
@@ -132,7 +132,7 @@ class Cornea:
 
     @property
     def case(self) -> Any:
-        """The case as a study file states it, defaults included."""
+        """The case as in a study file, including defaults."""
         return self._model.case
 
     def simulate(
@@ -147,15 +147,15 @@ class Cornea:
         Parameters
         ----------
         client : distributed.Client, optional
-            Whose workers simulate. Default: this process. Results are stored and used again;
-            stress and derivatives are computed here when they are asked for.
+            A client with workers for the simulation. Default: this process. Results are stored and
+            reused; stress and derivatives are computed here on request.
         store : str or Path
             Where the workers of `client` save the result: a folder, or ``s3://``, ``gs://`` or
-            ``az://BUCKET/PREFIX``, that this process and all workers see. Not used without a
+            ``az://BUCKET/PREFIX``, visible to this process and all workers. Not used without a
             client.
         **constants : float
             Names and units of a study file, such as ``mu1_pa=80``; ``parameters("cornea")`` lists
-            them. Those left out keep the values of the model.
+            them. Others keep the values of the model.
 
         Raises
         ------

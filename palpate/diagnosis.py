@@ -1,4 +1,4 @@
-"""What a model lacks: the diagnosis of scans, of a study or of a bench experiment."""
+"""Diagnosis of scans, of a study or of a bench experiment."""
 
 import warnings
 from collections.abc import Iterable
@@ -28,7 +28,7 @@ __all__ = ["Diagnosis", "diagnose"]
 
 
 class Diagnosis(FinishedDiagnosis):
-    """A diagnosis that has ended; see `diagnose`.
+    """A completed diagnosis; see `diagnose`.
 
     - ``summary``: ``verdict``, ``primary`` (the accused effects), ``effects`` with their
       probabilities and magnitudes, ``constants`` and ``gap_mm``,
@@ -38,7 +38,7 @@ class Diagnosis(FinishedDiagnosis):
 
     def plot_gap(self) -> "Figure":
         """Plot the gap with and without the accused effects, and the residuals of all points."""
-        # These load matplotlib, which most uses do without.
+        # These load matplotlib, which is rarely needed.
         from palpate.service.report.diagnosis.figures import gap_figure
         from palpate.service.report.drawing.canvas import on_white
 
@@ -62,30 +62,29 @@ def diagnose(
     page: str | Path | None = None,
     anyway: bool = False,
 ) -> Diagnosis:
-    """Find out where simulated and real body differ, why, and by how much.
+    """Find where, why and by how much a simulated and a real body differ.
 
-    What the store holds is not computed again; an interrupted diagnosis continues.
+    Stored results are reused, and an interrupted diagnosis continues.
 
     Parameters
     ----------
     source : str or Path
-        A folder of scans with its case file, the folder of a study that has run, or the
+        A folder of scans with its case file, the folder of a completed study, or the
         YAML file of a bench experiment.
     nodes : int
-        Of the mesh.
+        Approximate number of nodes of the mesh.
     effects : iterable of str, optional
-        Effects that are suspected; by default the whole catalogue.
+        Suspected effects. Default: the whole catalogue.
     workers : int or str, optional
-        Processes of this machine, ``"1-8"`` for as many as there is work for; by default as many
-        as fit.
+        Number of local processes, or ``"1-8"`` to follow the workload. Default: as many as fit.
     scheduler : str, optional
         Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
     store : str or Path
-        Folder that all workers see, or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
+        Folder visible to all workers, or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``.
     page : str or Path, optional
-        Where the HTML page is written.
+        Path of the HTML page to write.
     anyway : bool
-        Diagnose even though the inputs look implausible; the diagnosis says so.
+        Diagnose even if the inputs look implausible; the diagnosis then has a warning.
 
     Returns
     -------
@@ -98,9 +97,9 @@ def diagnose(
     InputError
         If the source cannot be diagnosed.
     ClusterError, TaskError
-        If the workers cannot do the work; what is finished is kept.
+        If the workers cannot do the work; completed work is saved.
     KeyboardInterrupt
-        At Ctrl-C; what is finished is kept, and the same call continues.
+        At Ctrl-C; completed work is saved, and the same call continues.
     """
     opened = open_source(Path(source), store)
     findings = check_source(opened, anyway=anyway)

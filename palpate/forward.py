@@ -22,8 +22,8 @@ GIVEN = "the given volume"
 class Breast:
     """A breast between two plates, ready to be simulated with any constants.
 
-    The mesh is made at the first simulation and kept. Nothing is written to disk, and no cluster
-    is needed.
+    The mesh is generated for the first simulation and kept. Nothing is written to disk, and no
+    cluster is needed.
 
     Parameters
     ----------
@@ -36,12 +36,12 @@ class Breast:
         Keys below ``case`` in a study file, without their section: ``nodes`` or
         ``element_size_mm``; ``force_n`` or ``plate_distance_mm``, ``oblique_deg``, ``moving``;
         ``skin``, ``skin_thickness_mm``, ``fibres``, ``fibre_invariant``, ``law``; ``labels`` of a
-        volume; and constants that are held, such as ``nu=0.48``. Defaults are those of a study.
+        volume; and held constants, such as ``nu=0.48``. The defaults are the same as in a study.
 
     Raises
     ------
     InputError
-        Naming every key that makes no sense, or the reason why the body cannot be simulated.
+        If a key is not valid or the body cannot be simulated; the message has every reason.
 
     Examples
     --------
@@ -71,7 +71,7 @@ class Breast:
 
     @property
     def case(self) -> Any:
-        """The case as a study file states it, defaults included."""
+        """The case as in a study file, including defaults."""
         return self._model.case
 
     @property
@@ -91,14 +91,15 @@ class Breast:
         Parameters
         ----------
         client : distributed.Client, optional
-            Whose workers simulate. Default: this process. Results are stored and used again.
+            A client with workers for the simulation. Default: this process. Results are stored and
+            reused.
         store : str or Path
             Where the workers of `client` find the body: a folder, or ``s3://``, ``gs://`` or
-            ``az://BUCKET/PREFIX``, that this process and all workers see. Not used without a
+            ``az://BUCKET/PREFIX``, visible to this process and all workers. Not used without a
             client.
         **constants : float
             Names and units of a study file, such as ``E_fat_kpa=8``; `parameters` lists them.
-            Those left out keep the values of the model.
+            Others keep the values of the model.
 
         Raises
         ------

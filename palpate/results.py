@@ -1,4 +1,4 @@
-"""What a study has found, with tables, draws and pictures for a notebook."""
+"""Results of a study, with tables, posterior samples and figures."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -27,9 +27,9 @@ ViewName = Literal["coronal", "transverse", "sagittal"]
 
 
 class StudyResults(record.StudyResults):
-    """What a study has found so far.
+    """The results of a study so far.
 
-    The most used attributes; each is described under the class that holds it:
+    The most used attributes; each is described in its class:
 
     - ``estimates["E_fat"]``: a `ParameterEstimate` with ``estimate``, ``unit``, ``interval``,
       ``quotable`` and ``reasons``,
@@ -41,12 +41,12 @@ class StudyResults(record.StudyResults):
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Read what the study in a folder has found; it may be running meanwhile.
+        """Read the results of the study in a folder, even while it is running.
 
         Raises
         ------
         InputError
-            If the folder holds no study.
+            If the folder is not a study.
         JournalError
             If its journal is damaged.
         """
@@ -56,11 +56,11 @@ class StudyResults(record.StudyResults):
     def samples(
         self, n: int = 1000, *, seed: int = 0, constants: Sequence[str] | None = None
     ) -> Samples:
-        """Draw the constants from the posterior that their intervals are stated from.
+        """Draw samples from the posterior of the constants.
 
-        The posterior is normal in the logarithms of the constants. It contains the noise of the
-        image, the misfit, the mesh and the nuisance parameters, and its central 90 % are the
-        stated intervals.
+        The posterior is normal in the logarithms of the constants. It includes the noise of the
+        image, the misfit, the mesh and the nuisance parameters; its central 90 % intervals are
+        the reported ones.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class StudyResults(record.StudyResults):
         Parameters
         ----------
         of : {"evaluations", "generations", "estimates"}
-            One row for each evaluation that has ended, generation, or searched parameter.
+            One row for each completed evaluation, generation, or searched parameter.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class StudyResults(record.StudyResults):
 
     def plot_convergence(self) -> "Figure":
         """Plot the score of every evaluation and the best score so far."""
-        # These load matplotlib, which most uses do without.
+        # These load matplotlib, which is rarely needed.
         from palpate.service.report.drawing.canvas import on_white
         from palpate.service.report.study.figures import convergence_figure
 

@@ -1,4 +1,4 @@
-"""A search that asks for candidates and is told their scores, whoever computes them."""
+"""An ask-and-tell interface to the search strategies."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,16 +13,16 @@ from palpate.workers.spec import validated
 
 
 class Search:
-    """A strategy of Palpate for any function of some parameters.
+    """A search strategy for any function of some parameters.
 
-    Candidates depend on the settings, the seed and the scores alone.
+    Candidates depend only on the settings, the seed and the scores.
 
     Parameters
     ----------
     parameters : mapping of str to (float, float)
         Bounds by name.
     strategy : str
-        ``"genetic"``, ``"cma"`` or that of a plug-in without derivatives.
+        ``"genetic"``, ``"cma"`` or a plug-in's strategy without derivatives.
     seed : int
         0 <= seed < 2**32.
     **settings
@@ -31,7 +31,7 @@ class Search:
     Raises
     ------
     InputError
-        If a key or a value makes no sense, or the strategy needs derivatives.
+        If a key or a value is not valid, or the strategy needs derivatives.
 
     Examples
     --------
@@ -53,7 +53,7 @@ class Search:
         self._spec = validated(SearchSpec, given, "The search")
         if self._spec.by_derivatives or self._spec.steady:
             raise InputError(
-                "A search that is told scores alone has no derivatives and mode: barrier. Use "
+                "A search from scores alone supports neither derivatives nor mode: barrier. Use "
                 "strategy genetic or cma, or a palpate.Study."
             )
         names = FittedNames(self._spec.space.names, (1.0,) * self._spec.space.dimension)
@@ -63,9 +63,9 @@ class Search:
         self._proposed = self._search.propose(self._history)
 
     def ask(self) -> list[dict[str, float]]:
-        """Return the candidates whose scores are wanted, by name; none when the search has ended.
+        """Return the next candidates by name; none when the search has ended.
 
-        The same until `tell` is called.
+        The candidates stay the same until `tell` is called.
         """
         if isinstance(self._proposed, Stopped):
             return []
@@ -73,7 +73,7 @@ class Search:
         return [space.as_dict(genes[i]) for i in self._proposed.to_evaluate]
 
     def tell(self, scores: Sequence[float]) -> None:
-        """Take the scores of all candidates of the last `ask`, in its order.
+        """Set the scores of all candidates from the last `ask`, in the same order.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ class Search:
 
     @property
     def stopped(self) -> str:
-        """Why the search has ended; empty while it goes on."""
+        """The reason for the end of the search; empty while it continues."""
         return self._proposed.reason if isinstance(self._proposed, Stopped) else ""
 
     @property

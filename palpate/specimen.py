@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Specimen"]
 
-# What a simulation depends on: how the problem is stated, meshed and solved.
+# Code that a simulation depends on: statement, mesh and solution of the problem.
 _PHYSICS = (
     "palpate.workers.organs.specimen.problem",
     "palpate.workers.organs.specimen.sheet.body",
@@ -45,22 +45,22 @@ _PHYSICS = (
 
 
 class Specimen:
-    """The specimen of a bench experiment, ready to be loaded as in any of its states.
+    """The specimen of a bench experiment, ready for the loads of any of its states.
 
-    The recordings that an experiment names are not read.
+    The recordings of the experiment are not read.
 
     Parameters
     ----------
     experiment : str, Path or mapping
-        The file of an experiment, or its keys. A mesh file that it names is looked up beside the
-        file, or from the working folder.
+        The file of an experiment, or its keys. The path of a mesh file is relative to the file,
+        or to the working folder.
     nodes : int
-        Approximate number of nodes of the mesh, which is made at the first simulation.
+        Approximate number of nodes of the mesh, which is generated for the first simulation.
 
     Raises
     ------
     InputError
-        Naming every key that makes no sense.
+        If a key is not valid; the message names each one.
     """
 
     def __init__(self, experiment: str | Path | Mapping[str, Any], *, nodes: int = 5000) -> None:
@@ -100,20 +100,21 @@ class Specimen:
         state : str
             Name of a state of the experiment.
         client : distributed.Client, optional
-            Whose workers simulate. Default: this process. Results are stored and used again.
+            A client with workers for the simulation. Default: this process. Results are stored and
+            reused.
         store : str or Path
             Where the workers of `client` find the body of a mesh file and save the result: a
-            folder, or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``, that this process and all
-            workers see. Not used without a client.
+            folder, or ``s3://``, ``gs://`` or ``az://BUCKET/PREFIX``, visible to this process and
+            all workers. Not used without a client.
         **constants : float
-            All of `constants`: Young's modulus of each material, such as ``E_kpa=200``, and what
-            else the experiment states as an interval.
+            All of `constants`: Young's modulus of each material, such as ``E_kpa=200``, and
+            everything else that the experiment states as an interval.
 
         Raises
         ------
         InputError
-            If there is no such state, a region moves in it as was measured, or a constant is
-            unknown or missing.
+            If the state is unknown, a region has a measured motion in it, or a constant is unknown
+            or missing.
         """
         bench, loads = self._bench, _loads_of(self.spec, state)
         stated = stated_in(bench.vocabulary, constants)
@@ -140,7 +141,7 @@ def _loads_of(spec: Any, state: str) -> LoadsSpec:
         if one.name == state:
             if any(move.measured for move in one.moves):
                 raise InputError(
-                    f"A region of the state {state} moves as was measured: choose a state "
+                    f"A region of the state {state} has a measured motion: choose a state "
                     "whose moves all give displacement_mm."
                 )
             found: LoadsSpec = one
@@ -150,7 +151,7 @@ def _loads_of(spec: Any, state: str) -> LoadsSpec:
 
 
 class _Bench:
-    """The mesh of a specimen, and what can be varied of it."""
+    """The mesh of a specimen, and its variable quantities."""
 
     def __init__(self, spec: SpecimenSpec, voxels: values.Volume | None, nodes: int) -> None:
         self.spec: Any = spec
@@ -194,7 +195,7 @@ def _simulate_stored(
     stated: Mapping[str, float],
     location: str,
 ) -> EvaluationResult:
-    """Load a specimen on a worker; the displacement is stored under the digest that returns.
+    """Load a specimen on a worker; store the displacement and return its digest.
 
     Parameters
     ----------
@@ -205,9 +206,9 @@ def _simulate_stored(
     nodes : int
     state : str
     stated : mapping of str to float
-        All constants, inside names and units.
+        All constants, in internal names and units.
     location : str
-        Of the store.
+        Location of the store.
     """
     kept = TaskStore(location)
     code = code_version(*_PHYSICS, *plugged_modules())

@@ -1,4 +1,4 @@
-"""A study: made from a file or a mapping, run on a cluster, read as arrays and tables."""
+"""Studies: created from files or mappings, run on a cluster, read as arrays and tables."""
 
 import warnings
 from collections.abc import Iterable, Mapping
@@ -38,18 +38,18 @@ if TYPE_CHECKING:
 
 
 def study_spec(spec: Mapping[str, Any]) -> StudySpec:
-    """Return a study as it is understood, defaults included.
+    """Return the specification of a study, including defaults.
 
     Parameters
     ----------
     spec : mapping
-        The keys of a study file; ``palpate new breast NAME`` writes one with every key
-        explained.
+        The keys of a study file; ``palpate new breast NAME`` writes one that explains every
+        key.
 
     Raises
     ------
     InputError
-        Naming every key that makes no sense, with what was expected.
+        If a key is not valid; the message names each one and the expected value.
     """
     return validated(StudySpec, spec, "The study")
 
@@ -62,7 +62,7 @@ class Study:
     spec : StudySpec
         See `study_spec`.
     folder : str or Path, optional
-        Where it lives; made when it runs. Default: ``runs/NAME``.
+        Folder of the study, created when it runs. Default: ``runs/NAME``.
     """
 
     def __init__(self, spec: StudySpec, folder: str | Path | None = None) -> None:
@@ -76,29 +76,29 @@ class Study:
         Raises
         ------
         InputError
-            If there is no such file, or a key or value makes no sense.
+            If the file does not exist, or a key or value is not valid.
         """
         return cls(read_spec(Path(path)), folder)
 
     @classmethod
     def from_dict(cls, spec: Mapping[str, Any], folder: str | Path | None = None) -> Self:
-        """Make a study from the keys of a study file.
+        """Create a study from the keys of a study file.
 
         Raises
         ------
         InputError
-            If a key or value makes no sense.
+            If a key or value is not valid.
         """
         return cls(study_spec(spec), folder)
 
     @classmethod
     def open(cls, folder: str | Path) -> Self:
-        """Open a study that has begun to run.
+        """Open a study that has started.
 
         Raises
         ------
         InputError
-            If the folder holds none.
+            If the folder is not a study.
         """
         return cls(read_spec(StudyLayout(Path(folder)).study), folder)
 
@@ -114,41 +114,40 @@ class Study:
         observers: Iterable[Observer] = (),
         anyway: bool = False,
     ) -> StudyResults:
-        """Run the study to its end, or continue it from wherever it stands.
+        """Run the study, or continue it.
 
         Parameters
         ----------
         workers : int or str, optional
-            Processes of this machine, ``"1-8"`` for as many as there is work for; by default as
-            many as fit.
+            Number of local processes, or ``"1-8"`` to follow the workload. Default: as many as
+            fit.
         scheduler : str, optional
             Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
         client : distributed.Client, optional
-            A connected client whose workers are used instead; it stays open. Its workers should
-            have one thread each.
+            A connected client with workers to use instead, of one thread each; it stays open.
         in_process : bool
             Evaluate in this process, one candidate after the other. No main guard is needed.
         store : str or Path, optional
-            Store of volumes and evaluations that all workers see: a folder, or ``s3://``,
-            ``gs://`` or ``az://BUCKET/PREFIX``. Default: that of the last run, else the folder
-            ``store`` beside the study's.
+            Store of volumes and evaluations visible to all workers: a folder, or ``s3://``,
+            ``gs://`` or ``az://BUCKET/PREFIX``. Default: the store of the last run, else
+            ``store`` next to the study's folder.
         progress : bool
             Show a progress bar.
         observers : iterable of Observer
-            Are called at every generation and evaluation.
+            Called at every generation and evaluation.
         anyway : bool
-            Run the study even though its inputs look implausible; its results say so.
+            Run the study even if its inputs look implausible; its results then have a warning.
 
         Raises
         ------
         InputError
-            If the case or the target makes no sense, or cannot be meant so.
+            If the case or the target is not valid or not plausible.
         StoreError
             If the store cannot be used, or the study is running already.
         ClusterError
-            If the workers cannot do the work; what is journalled is kept.
+            If the workers cannot do the work; completed evaluations are saved.
         KeyboardInterrupt
-            At Ctrl-C; what is journalled is kept, and the same call continues.
+            At Ctrl-C; completed evaluations are saved, and the same call continues.
         """
         from rich.console import Console
 
@@ -182,25 +181,24 @@ class Study:
         progress: bool = False,
         anyway: bool = False,
     ) -> Evaluations:
-        """Evaluate candidates of your own against the target of the study.
+        """Evaluate your own candidates against the target of the study.
 
-        Evaluations that the store has are not computed again, so an interrupted call continues
-        when it is repeated, and the study itself shares them. A candidate that does not converge
-        is a row with a reason.
+        Stored evaluations, including the study's own, are reused, so repeating an interrupted call
+        continues it. The row of a candidate that does not converge has a reason.
 
         Parameters
         ----------
         table : mapping, DataFrame, structured array, or list of mappings
             A column for each constant by its name in a study file, such as ``E_fat_kpa``, or a
-            mapping for each candidate; see also `design`. Constants that are left out keep the
-            values of the case.
+            mapping for each candidate; see also `design`. Other constants keep the values of
+            the case.
         workers, scheduler, client, in_process, store, progress, anyway
             See `run`.
 
         Raises
         ------
         InputError
-            Before any work starts, naming the row and column of a value that makes no sense.
+            If a value is not valid, before any work starts; the message names its row and column.
         StoreError, ClusterError, KeyboardInterrupt
             As `run`.
         """
@@ -224,7 +222,7 @@ class Study:
     def design(
         self, n: int = 64, kind: str = "sobol", seed: int = 1
     ) -> dict[str, NDArray[np.float64]]:
-        """Return candidates that fill the searched intervals evenly, for `evaluate`.
+        """Return a space-filling design of the searched intervals, for `evaluate`.
 
         Parameters
         ----------
@@ -242,17 +240,17 @@ class Study:
 
     @property
     def results(self) -> StudyResults:
-        """Read what the study has found so far; it may be running meanwhile.
+        """Read the results so far, even while the study is running.
 
         Raises
         ------
         InputError
-            If it has not begun.
+            If it has not started.
         """
         return StudyResults.read(self.folder)
 
     def candidates(self) -> dict[str, NDArray[Any]]:
-        """Return every evaluation that has ended as arrays of equal length.
+        """Return all completed evaluations as arrays of equal length.
 
         Returns
         -------
@@ -279,12 +277,12 @@ class Study:
         Parameters
         ----------
         which : {"reference", "target", "best"}
-            The undeformed body, the deformed one to be explained, or the explanation.
+            The undeformed body, the target, or the deformed body of the best candidate.
 
         Raises
         ------
         InputError
-            If the store does not have it.
+            If it is not in the store.
         """
         bodies = read_study_data(self.folder).bodies
         volume = getattr(bodies, which)
@@ -297,7 +295,7 @@ class Study:
         return write_report(self.folder)
 
     def diagnose(self, **options: Any) -> Diagnosis:
-        """Find out what the model of this study lacks; see `palpate.diagnose`."""
+        """Find what the model of this study lacks; see `palpate.diagnose`."""
         return diagnose(self.folder, **options)
 
     def __repr__(self) -> str:
@@ -307,4 +305,4 @@ class Study:
     def _repr_html_(self) -> str:
         if StudyLayout(self.folder).journal.is_file():
             return self.results._repr_html_()
-        return str(spec_html(self.spec, f"not begun; its folder will be {self.folder}"))
+        return str(spec_html(self.spec, f"not started; its folder will be {self.folder}"))

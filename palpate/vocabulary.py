@@ -1,4 +1,4 @@
-"""The constants and effects that a study may hold or search."""
+"""Constants and effects that a study can hold or search."""
 
 from palpate.workers.mechanics.parameters import Parameter
 from palpate.workers.organs.registry import DEFAULT, organ_spec
@@ -10,11 +10,11 @@ def parameters(organ: str = DEFAULT) -> dict[str, Parameter]:
     Parameters
     ----------
     organ : str
-        Such as ``"breast"``.
+        Name of the organ, such as ``"breast"``.
 
     Raises
     ------
     InputError
-        If there is no such organ.
+        If the organ is unknown.
     """
     return {parameter.door_name: parameter for parameter in organ_spec(organ).parameters}

@@ -1,4 +1,4 @@
-"""Label volumes from files and to files."""
+"""Reading, writing and generating label volumes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ from palpate.workers.organs.registry import DEFAULT, organ_named
 
 
 class Volume(values.Volume):
-    """Voxels with a place in space; a notebook shows three sections through the middle.
+    """Voxels with a position in space; notebooks show three sections through the middle.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class Volume(values.Volume):
     origin_mm : tuple of float
         Centre of the voxel ``values[0, 0, 0]`` as (x, y, z).
     frame_uid : str
-        Frame of reference of these coordinates, as DICOM names it; empty if the file names none.
+        DICOM frame of reference of these coordinates; empty if the file names none.
     place_known : bool
         Whether the file states where its voxels are.
 
@@ -36,7 +36,7 @@ class Volume(values.Volume):
 
     @classmethod
     def of(cls, volume: values.Volume) -> Self:
-        """Return the same volume, which a notebook can show."""
+        """Return the volume in this class, which notebooks can show."""
         return cls(
             volume.values,
             volume.spacing_mm,
@@ -66,9 +66,9 @@ def read_volume(
     path : str or Path
         A file, or a folder of slices.
     spacing_mm : tuple of float, optional
-        Voxel spacing along x, y and z, where the file does not say.
+        Voxel spacing along x, y and z, if the file does not state it.
     axes : str, optional
-        Which axes of the image are x (across), y (compression) and z (chest wall to
+        Image axes that are x (across), y (compression) and z (chest wall to
         nipple), such as ``"-z,y,x"``; or the anatomical directions in which x, y and z
         increase, such as ``"L S A"``.
 
@@ -121,17 +121,17 @@ def write_volume(
     Parameters
     ----------
     path : str or Path
-        Its suffix chooses the format: ``.nrrd``, ``.seg.nrrd`` (a segmentation in 3D Slicer),
+        The suffix selects the format: ``.nrrd``, ``.seg.nrrd`` (a segmentation in 3D Slicer),
         ``.nii`` or ``.nii.gz``.
     volume : Volume
     names : mapping of int to str, optional
-        Names of its labels, such as ``{1: "Fat", 2: "Glandular"}``, which 3D Slicer and
-        `palpate import` read.
+        Names of its labels, such as ``{1: "Fat", 2: "Glandular"}``, for 3D Slicer and
+        `palpate import`.
 
     Raises
     ------
     InputError
-        If the suffix is not known or the folder does not exist.
+        If the suffix is not supported or the folder does not exist.
     StoreError
         If the file system refuses.
     """

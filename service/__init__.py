@@ -1,3 +1,3 @@
-"""Decides what is computed, has it computed, and reports the results."""
+"""Planning, execution and reports of studies and diagnoses."""
 
 import palpate.workers  # noqa: F401 - before NumPy loads: one thread

@@ -1,8 +1,8 @@
-"""Defines the command `palpate`.
+"""The command `palpate`.
 
-Exit codes: 0 done; 1 a fault of ours, with its traceback; 2 something that the
-user can put right, said in one message; 130 interrupted, and how to go on; 141 nobody
-reads the output any more.
+Exit codes: 0 done; 1 an internal error, with its traceback; 2 an error that the user can
+correct, with one message; 130 interrupted, with the command to continue; 141 the reader of the
+output has closed it.
 """
 
 import errno
@@ -21,7 +21,7 @@ from palpate.storage.errors import PalpateError
 
 USERS_FAULT = 2
 NO_READER = 141
-# What the system refuses for reasons that the user can put right.
+# System errors that the user can correct.
 REFUSALS = {
     errno.ENOSPC: "the disk is full",
     errno.EDQUOT: "the disk quota is used up",
@@ -29,9 +29,9 @@ REFUSALS = {
     errno.EACCES: "permission is denied",
     errno.EPERM: "permission is denied",
     errno.ENAMETOOLONG: "the name is too long",
-    errno.ENOTDIR: "a part of the path is a file",
+    errno.ENOTDIR: "part of the path is a file",
     errno.EISDIR: "it is a folder",
-    errno.ELOOP: "symbolic links lead in a circle",
+    errno.ELOOP: "symbolic links form a loop",
     errno.EMFILE: "too many files are open",
     errno.EIO: "the disk reports an error",
 }
@@ -146,7 +146,7 @@ def _options(
         ),
     ] = False,
     quiet: Annotated[
-        bool, typer.Option("--quiet", "-q", help="Show results, warnings and errors alone.")
+        bool, typer.Option("--quiet", "-q", help="Show only results, warnings and errors.")
     ] = False,
     verbose: Annotated[
         bool, typer.Option("--verbose", "-v", help="Show log messages: --log-level info.")
@@ -163,7 +163,7 @@ list_commands(app, COMMANDS)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; its exit code."""
+    """Run a command and return its exit code."""
     typed = list(sys.argv[1:] if arguments is None else arguments)
     remember_command(typed)
     _accept_any_character()
@@ -183,18 +183,18 @@ def _run(typed: list[str]) -> int:
         app(typed, prog_name="palpate")
     except PalpateError as error:
         return _explain(str(error))
-    except SystemExit as ended:  # typer leaves so, with 2 for a wrong option and 130 for Ctrl-C
+    except SystemExit as ended:  # typer exits like this: 2 for a wrong option, 130 for Ctrl-C
         if isinstance(getattr(ended.__context__, "__cause__", None), KeyboardInterrupt):
-            typer.echo("Interrupted.", err=True)  # before a command could say how to go on
-        # It leaves with 1 where nobody reads what is printed.
+            typer.echo("Interrupted.", err=True)  # before a command could print how to continue
+        # typer exits with 1 if the output is closed.
         return NO_READER if ended.code == 1 else int(ended.code or 0)
     except MemoryError:
-        return _explain("the memory of this machine does not suffice: ask for fewer or coarser.")
+        return _explain("this machine has too little memory: use a coarser mesh or larger voxels.")
     except OSError as error:
         if error.errno not in REFUSALS:
             raise
         where = error.filename or "standard output"
-        return _explain(f"{where}: {_why(error)}. Put that right, or choose another place.")
+        return _explain(f"{where}: {_why(error)}. Correct this, or choose another place.")
     return 0
 
 
@@ -209,7 +209,7 @@ def _why(error: OSError) -> str:
 
 
 def _accept_any_character() -> None:
-    """Print a question mark where a terminal does not know a character."""
+    """Print a question mark for characters that a terminal cannot show."""
     for stream in (sys.stdout, sys.stderr):
         if (getattr(stream, "encoding", "") or "").lower().replace("-", "") != "utf8":
             with suppress(AttributeError, ValueError, OSError):
@@ -217,7 +217,7 @@ def _accept_any_character() -> None:
 
 
 def _leave_standard_output() -> None:
-    """Keep Python from writing once more, when it ends, what could not be written."""
+    """Keep Python from flushing the unwritable output again at exit."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())

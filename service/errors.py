@@ -1,4 +1,4 @@
-"""Defines what can go wrong between the driver and its cluster.
+"""Errors between the driver and its cluster.
 
 ::
 
@@ -14,21 +14,21 @@ from palpate.storage.errors import PalpateError
 
 
 class ClusterError(PalpateError):
-    """The cluster cannot do the work."""
+    """A cluster that cannot do the work."""
 
 
 class TaskError(PalpateError):
-    """A task without which no study can start has crashed."""
+    """The crash of a task that a study cannot start without."""
 
 
 class GenerationCrashError(PalpateError):
-    """Every candidate of a generation has crashed for the same reason.
+    """A crash of every candidate of a generation for the same reason.
 
     Parameters
     ----------
     message : str
     traceback : str
-        Of the first one, on its worker.
+        Traceback of the first one, from its worker.
     """
 
     def __init__(self, message: str, traceback: str = "") -> None:
@@ -36,5 +36,5 @@ class GenerationCrashError(PalpateError):
         self.traceback = traceback
 
 
-class Interrupted(Exception):  # noqa: N818 - the user's wish, no error
-    """Somebody asked the study to stop; what is journalled is kept."""
+class Interrupted(Exception):  # noqa: N818 - a request, not an error
+    """A request to stop the study; completed evaluations are saved."""

@@ -1,4 +1,4 @@
-"""Optional packages, loaded where a user asks for what needs them."""
+"""Optional packages, loaded on demand."""
 
 from importlib import import_module
 from typing import Any

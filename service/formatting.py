@@ -1,4 +1,4 @@
-"""Writes numbers and names as a reader wants them."""
+"""Numbers and names formatted for readers."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 MINUS = "\u2212"
 NARROW = "\u202f"
 NONE = "\u2013"
-# From here on a number is written with a power of ten.
+# Larger numbers are written with a power of ten.
 HUGE = 1e12
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -17,7 +17,7 @@ _GREEK = {"eta": "η", "nu": "ν", "E": "E", "compressibility": "1 − 2ν"}
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Write a number with so many significant digits, a real minus, and no trailing zeros.
+    """Format a number with significant digits, a typographic minus and no trailing zeros.
 
     Examples
     --------
@@ -43,7 +43,7 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def count(value: int) -> str:
-    """Write a whole number, its thousands apart.
+    """Format an integer with thin spaces between thousands.
 
     Examples
     --------
@@ -54,7 +54,7 @@ def count(value: int) -> str:
 
 
 def percent(share: float | None, digits: int = 1) -> str:
-    """Write a signed relative error.
+    """Format a signed relative error.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def percent(share: float | None, digits: int = 1) -> str:
 
 
 def share(part: float) -> str:
-    """Write a part as per cent with two digits, or all of them before the point.
+    """Format a fraction as per cent with two significant digits, or all integer digits.
 
     Examples
     --------
@@ -81,7 +81,7 @@ def share(part: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Write a time span.
+    """Format a time span.
 
     Examples
     --------
@@ -101,7 +101,7 @@ def duration(seconds: float) -> str:
 
 
 def bare(name: str, unit: str) -> str:
-    """Return the name of a parameter without the unit at its end.
+    """Return the name of a parameter without its unit suffix.
 
     Examples
     --------
@@ -113,7 +113,7 @@ def bare(name: str, unit: str) -> str:
 
 
 def label(name: str, unit: str) -> str:
-    """Write a parameter for an axis.
+    """Format the name of a parameter for an axis.
 
     Examples
     --------
@@ -126,7 +126,7 @@ def label(name: str, unit: str) -> str:
 
 
 def symbol(name: str, unit: str = "") -> Markup:
-    """Write a parameter for running text.
+    """Format the name of a parameter for running text.
 
     Examples
     --------
@@ -141,7 +141,7 @@ def symbol(name: str, unit: str = "") -> Markup:
 
 
 def joined(items: list[Any]) -> Markup:
-    """Join items for a sentence: commas, and an "and" before the last."""
+    """Join items with commas, and "and" before the last."""
     parts = [escape(item) for item in items]
     if len(parts) < 2:
         return Markup("").join(parts)
@@ -149,7 +149,7 @@ def joined(items: list[Any]) -> Markup:
 
 
 def listed(items: Sequence[str], last: str = "and") -> str:
-    """Return items as plain text: commas, and a word before the last one.
+    """Return items as plain text with commas, and a word before the last one.
 
     Examples
     --------
@@ -160,11 +160,11 @@ def listed(items: Sequence[str], last: str = "and") -> str:
 
 
 def at_edge(estimate: float, bounds: tuple[float, float], share: float = 0.01) -> bool:
-    """Return whether an estimate lies so near to a bound that the bound may have made it."""
+    """Return whether an estimate is so close to a bound that the bound may determine it."""
     low, high = bounds
     return min(estimate - low, high - estimate) < share * (high - low)
 
 
 def signed_error(estimate: float | None, target: float | None) -> float | None:
-    """Return estimate over target, less one; None where one is missing or the target is zero."""
+    """Return estimate / target - 1; None if one is missing or the target is zero."""
     return estimate / target - 1 if estimate is not None and target else None

@@ -1,4 +1,4 @@
-"""Requests to stop: Ctrl-C and SIGTERM, collected until the work at hand is saved."""
+"""Requests to stop: Ctrl-C and SIGTERM, collected until the current work is saved."""
 
 import signal
 import threading
@@ -14,13 +14,13 @@ _collected: list[int] | None = None
 def stop_requests(*, respect_handlers: bool = False) -> Iterator[list[int]]:
     """Collect SIGINT and SIGTERM; the second one interrupts at once.
 
-    Nested calls share one list. Outside of the main thread, which alone receives signals, the
+    Nested calls share one list. Only the main thread receives signals; in other threads the
     list stays empty.
 
     Parameters
     ----------
     respect_handlers : bool
-        Leave alone the signals for which the program has handlers of its own.
+        Ignore signals for which the program has its own handlers.
     """
     global _collected
     if threading.current_thread() is not threading.main_thread():

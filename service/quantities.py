@@ -1,4 +1,4 @@
-"""Writes numbers with their units: of constants, which have one, and of names that end with one.
+"""Numbers with units, of constants and of names with a unit suffix.
 
 As JSON a constant is ``{"value": 10.0, "unit": "kPa"}`` under its name in a study file.
 """
@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 
 from palpate.workers.mechanics.parameters import Vocabulary
 
-# Endings of names that state a unit, the longest first.
+# Unit suffixes of names, longest first.
 SUFFIXES = {"_mm2": "mm2", "_mm": "mm", "_mj": "mJ", "_ml": "ml", "_kpa": "kPa", "_n": "N"}
 
 
 class Quantity(NamedTuple):
-    """A number and its unit at the door, "" for a pure number."""
+    """A number and its unit in files, "" for a pure number."""
 
     value: float
     unit: str
@@ -27,7 +27,7 @@ class Quantity(NamedTuple):
 
 
 def quantities_at_door(vocabulary: Vocabulary, genes: Mapping[str, float]) -> dict[str, Quantity]:
-    """Return parameters that have their names and values at the door together with their units."""
+    """Return parameters, with the names and values of a study file, as quantities."""
     return {
         name: Quantity(value, vocabulary.at_door(name).unit.symbol) for name, value in genes.items()
     }
@@ -36,7 +36,7 @@ def quantities_at_door(vocabulary: Vocabulary, genes: Mapping[str, float]) -> di
 def quantities_inside(
     vocabulary: Vocabulary, constants: Mapping[str, float]
 ) -> dict[str, Quantity]:
-    """Return constants with names and units inside (E_fat, MPa) as a study file writes them."""
+    """Return constants with internal names and units (E_fat, MPa) as in a study file."""
     return {
         vocabulary[name].door_name: Quantity(
             vocabulary[name].unit.to_door(value), vocabulary[name].unit.symbol
@@ -48,15 +48,15 @@ def quantities_inside(
 def not_neutral(
     vocabulary: Vocabulary, constants: Mapping[str, float], stated: Collection[str] = ()
 ) -> dict[str, float]:
-    """Return the constants that somebody has stated, or that differ from their neutral values.
+    """Return the constants that are stated or differ from their neutral values.
 
     Parameters
     ----------
     vocabulary : Vocabulary
     constants : mapping of str to float
-        By names inside; one that follows another is neutral where it has its value.
+        By internal name; one that follows another is neutral if the values are equal.
     stated : collection of str
-        Names inside that are kept in any case.
+        Internal names that are always kept.
     """
 
     def neutral(name: str) -> float:
@@ -74,7 +74,7 @@ def quantities_json(quantities: Mapping[str, Quantity]) -> dict[str, Any]:
 
 
 def named_quantity(name: str, value: Any) -> tuple[str, str]:
-    """Return the name and text of a value whose unit stands at the end of its name.
+    """Return the name and text of a value with a unit suffix in its name.
 
     Examples
     --------

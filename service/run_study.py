@@ -1,7 +1,7 @@
-"""One way to run a study, for the command, Python and the service.
+"""The run of a study, shared by the command, Python and the service.
 
-A new study is checked first, palpate.log is kept, and the page is written at the end, whatever
-the end is.
+A new study is checked first, palpate.log is written, and the page is written in the end even after
+a failure.
 """
 
 import logging
@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 
 
 def write_page(folder: Path, quick: bool) -> None:
-    """Write the page of a study; a failure is logged and is no failure of the study."""
+    """Write the page of a study; a failure is logged and does not affect the study."""
     try:
         write_report(folder, quick=quick)
     except PalpateError as error:
@@ -33,16 +33,16 @@ def write_page(folder: Path, quick: bool) -> None:
 
 @dataclass(frozen=True)
 class Entrance:
-    """The differences between the ways in: the command, Python, the service.
+    """Settings that differ between the command, Python and the service.
 
     Parameters
     ----------
     anyway : bool
         Run a new study even though its inputs look implausible.
     elsewhere : bool
-        The workers are on other machines, which may see files that this one does not.
+        The workers are on other machines, which may have access to other files.
     on_a_worker : bool
-        Read the images of a new study on a worker, never in this process.
+        Read the images of a new study only on a worker.
     warn : callable
         Receives each warning about a new study.
     shown : context manager
@@ -62,7 +62,7 @@ class Entrance:
 def run_study(
     study: Study, opened: AbstractContextManager[Session[TaskRunner]], entrance: Entrance
 ) -> Conclusion | None:
-    """Run a study to its end, or continue it.
+    """Run or continue a study.
 
     Parameters
     ----------
@@ -74,12 +74,12 @@ def run_study(
     Returns
     -------
     Conclusion or None
-        None if the study had ended before.
+        None if the study was complete already.
 
     Raises
     ------
     InputError
-        If the inputs of a new study make no sense.
+        If the inputs of a new study are not valid.
     Interrupted
         If the user asks to stop; completed evaluations are saved.
     PalpateError

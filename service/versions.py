@@ -1,4 +1,4 @@
-"""Names the code that makes the numbers: packages, interpreter, and our own source."""
+"""Versions of the code that results depend on: packages, Python and Palpate."""
 
 import platform
 from functools import cache
@@ -14,7 +14,7 @@ PACKAGES = ("numpy", "scipy", "numba", "scikit-image", "zarr", "dask", "distribu
 
 @cache
 def code_digest() -> str:
-    """Name of all source that a result depends on: the workers' and the search's."""
+    """Return the digest of all source code that results depend on."""
     return source_digest([_folder(workers.__file__), _folder(search.__file__)])
 
 

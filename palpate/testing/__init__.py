@@ -1,4 +1,4 @@
-"""Checks for authors of plug-ins: each raises an `AssertionError` that names what is wrong.
+"""Checks for plug-in authors; each raises an `AssertionError` that names the problem.
 
 Call them from a test of the plug-in's own distribution::
 

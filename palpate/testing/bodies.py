@@ -1,4 +1,4 @@
-"""A small breast without any symmetry, on which plug-ins are tried."""
+"""A small asymmetric breast for checking plug-ins."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ NU = 0.49
 
 
 def small_breast(spacing_mm: float = 2.0) -> Volume:
-    """Return half an ellipsoid on the chest wall z = 0, bent to one side, gland off its middle."""
+    """Return a bent half ellipsoid on the chest wall z = 0 with an off-centre gland."""
     along = np.arange(-44.0, 44.1, spacing_mm)
     x, y, z = np.meshgrid(along, along, np.arange(spacing_mm / 2, 44.0, spacing_mm), indexing="ij")
     place = np.stack([x - 0.10 * z, y + 0.06 * z, z], axis=-1)
@@ -27,7 +27,7 @@ def small_breast(spacing_mm: float = 2.0) -> Volume:
 
 
 def plain_problem() -> Problem:
-    """Return two flat plates and a wall that holds the breast loosely."""
+    """Return a problem with two flat plates and an elastic chest wall."""
     return Problem(
         constants={
             Tissue.FAT: Constants(0.010, NU, 0.02),
@@ -39,7 +39,7 @@ def plain_problem() -> Problem:
 
 
 def busy_problem() -> Problem:
-    """Return a problem with nearly every field away from its default."""
+    """Return a problem with nearly every field set to a non-default value."""
     tilted = Plate(tilt_deg=(1.0, -2.0), bow_per_mm=(1e-3, 2e-3))
     plain = plain_problem()
     return Problem(

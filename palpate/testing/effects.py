@@ -1,4 +1,4 @@
-"""Checks of an effect."""
+"""Checks of effects."""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -21,7 +21,7 @@ from palpate.workers.organs.registry import catalogue_of, organ_names, organ_spe
 
 FRAME = Frame((1.0, -2.0, 20.0), (float(HALF_MM[0]), float(HALF_MM[1]), float(HALF_MM[2])))
 NODES = 500
-# Of the largest displacement; tangents of a linear system that is solved to `SOLVED_TO`.
+# Tolerance relative to the largest displacement; linear systems are solved to `SOLVED_TO`.
 SLOPE_ERROR = 0.01
 SOLVED_TO = 1e-6
 STEP = 1e-3
@@ -29,7 +29,7 @@ LEAST_MM = 1e-4
 
 
 def check_effect(effect: Effect, problem: Problem | None = None, step: float = STEP) -> None:
-    """Check what every effect promises.
+    """Check the contract of an effect.
 
     It can be pickled; its names are unique, and its units part of them; at its neutral values it
     changes nothing; at plausible values it changes something; nothing is changed in place; and the
@@ -39,15 +39,15 @@ def check_effect(effect: Effect, problem: Problem | None = None, step: float = S
     ----------
     effect : Effect
     problem : Problem, optional
-        On which it acts; by default a small breast between plates.
+        Problem that it acts on. Default: a small breast between plates.
     step : float
-        By how many standard deviations parameters are varied for the differences; longer for an
-        effect whose solution is found to a tolerance.
+        Step of the parameters for differences, in standard deviations; larger for an effect with
+        an iterative solution.
 
     Raises
     ------
     AssertionError
-        Naming the first promise that is broken.
+        Naming the first violated condition.
     """
     check_pickles(effect, f"The effect {effect.name}")
     _check_names(effect)
@@ -63,7 +63,7 @@ def check_effect(effect: Effect, problem: Problem | None = None, step: float = S
 
 
 def _check_names(effect: Effect) -> None:
-    claim(effect.summary.endswith("."), f"The summary of {effect.name} is no sentence.")
+    claim(effect.summary.endswith("."), f"The summary of {effect.name} is not a sentence.")
     claim(effect.references, f"{effect.name} names no reference.")
     names = effect.names
     claim(len(set(names)) == len(names), f"{effect.name} has a parameter twice: {names}.")
@@ -142,7 +142,7 @@ def _check_body(effect: Effect, problem: Problem, step: float) -> None:
         f"{effect.name} changes nothing at plausible values; give a problem that it acts on.",
     )
     base = replace(problem, tolerance_mm=1e-9)
-    # At its neutral value an effect that is one-sided may have a kink, and a place says nothing.
+    # A one-sided effect may have a kink at its neutral value, and a position means nothing there.
     at = effect.neutral if effect.is_proportional else _halfway(effect)
     here = _solved(effect, effect.apply(base, at, frame))
     if effect.follows_path:
@@ -171,7 +171,7 @@ def _difference(
     here: Equilibrium,
     step: float,
 ) -> FloatArray:
-    """Return the derivative of the solution by one parameter, by Richardson extrapolation."""
+    """Return the derivative of the solution for one parameter, by Richardson extrapolation."""
     h = step * effect.prior_sd[effect.names.index(name)]
 
     def slope(h: float) -> FloatArray:
@@ -198,7 +198,7 @@ def _moved(
 def _solved(effect: Effect, problem: Problem, start: Equilibrium | None = None) -> Equilibrium:
     found = equilibrium(_model(), problem, start)
     reason = found.solution.outcome.reason
-    claim(not reason, f"{effect.name}: the body finds no equilibrium: {reason}.")
+    claim(not reason, f"{effect.name}: no equilibrium was found: {reason}.")
     return found
 
 
@@ -217,7 +217,7 @@ def _interface() -> tuple[FloatArray, FloatArray, IntArray]:
 
 
 def _same(a: object, b: object) -> bool:
-    """Compare two problems, with a tolerance for rounding."""
+    """Return whether two problems are equal up to rounding."""
     if isinstance(a, float) and isinstance(b, float):
         return a == b or abs(a - b) <= 1e-13 * max(abs(a), abs(b)) + 1e-15
     fields = getattr(a, "__dataclass_fields__", None)

@@ -1,4 +1,4 @@
-"""Checks of an elastic law."""
+"""Checks of elastic laws."""
 
 from collections.abc import Callable
 
@@ -13,7 +13,7 @@ STEP = 2e-4
 
 
 def check_law(law: Isochoric) -> None:
-    """Check what every isochoric law promises.
+    """Check the contract of an isochoric law.
 
     It can be pickled; it is free of energy and stress at rest, and linear elastic for small
     strains; a rotation turns its stress and stores nothing, of the body before or after; a change
@@ -27,7 +27,7 @@ def check_law(law: Isochoric) -> None:
     Raises
     ------
     AssertionError
-        Naming the first promise that is broken.
+        Naming the first violated condition.
     """
     name = type(law).__name__
     check_pickles(law, name)
@@ -91,7 +91,7 @@ def _close(found: FloatArray, expected: FloatArray, mu: float, text: str) -> Non
 
 
 def _derivative(f: Callable[[FloatArray], FloatArray], F: FloatArray) -> FloatArray:
-    """Return the derivative of `f` by F from five points, of fourth order."""
+    """Return the derivative of `f` with respect to F, by fourth-order differences."""
     columns = []
     for E in np.eye(9).reshape(9, 3, 3):
         near = f(F + STEP * E) - f(F - STEP * E)
@@ -109,7 +109,7 @@ def _rotation(seed: int) -> FloatArray:
 
 
 def _deformations() -> FloatArray:
-    """Return deformation gradients, shape (n, 3, 3), some with equal or nearly equal stretches."""
+    """Return deformation gradients, shape (n, 3, 3), some with (nearly) equal stretches."""
     rng = np.random.default_rng(7)
     diagonals = ([1.8, 1.8**-0.5, 1.8**-0.5], [0.7, 0.7, 1.6], [1.4, 1.4 + 1e-9, 0.8])
     special = [_rotation(k) @ np.diag(d) @ _rotation(k + 20) for k, d in enumerate(diagonals)]

@@ -1,4 +1,4 @@
-"""Checks of an organ."""
+"""Checks of organs."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,12 +16,12 @@ from palpate.workers.organs.plugin import OrganPlugin, resolve
 from palpate.workers.spec import CaseSpec, validated
 
 REFERENCES = ("spec", "organ", "checks", "findings", "study_source", "effects")
-# A Gauss-Newton step from constants that are off by 30 % leaves less than this part of the squares.
+# A Gauss-Newton step from constants with 30 % error must reduce the cost below this fraction.
 GAIN = 0.3
 
 
 def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str] = ()) -> None:
-    """Check what every organ promises, on one case.
+    """Check the contract of an organ on one case.
 
     All that the plug-in names can be imported; parameters are unique; body and mesh survive the
     store; facts are plain values; the same case is solved to the same displacement, to the last
@@ -32,22 +32,22 @@ def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str
     ----------
     plugin : OrganPlugin
     case : mapping
-        As under ``case`` of a study file, small enough to be solved in seconds.
+        Keys under ``case`` in a study file; should be solvable in seconds.
     free : sequence of str
-        Names inside of the constants by which the fit is differentiated; none: no fit.
+        Internal names of the constants to differentiate the fit by. Empty: no fit.
 
     Raises
     ------
     AssertionError
-        Naming the first promise that is broken.
+        Naming the first violated condition.
     """
     _check_references(plugin)
     organ: Organ[Any, Any, Any] = resolve(plugin.organ)
     name = plugin.name
-    claim(organ.name == name, f"The organ calls itself {organ.name!r}, its plug-in {name!r}.")
+    claim(organ.name == name, f"The organ has the name {organ.name!r}, its plug-in {name!r}.")
     stated: OrganSpec = resolve(plugin.spec)
     spec = validated(stated.case, {"organ": name, **case}, "The case")
-    claim(spec.organ == name, f"A case of {name} says that its organ is {spec.organ!r}.")
+    claim(spec.organ == name, f"A case of {name} has the organ {spec.organ!r}.")
     doors = [p.door_name for p in stated.parameters]
     claim(len(set(doors)) == len(doors), f"{name} has a parameter twice.")
     body = organ.make_body(spec.reference)
@@ -100,10 +100,10 @@ def _check_solution(
 
     first, second = solve(), solve()
     reason = first.outcome.reason
-    claim(first.outcome.converged, f"The case of {name} finds no equilibrium: {reason}.")
+    claim(first.outcome.converged, f"No equilibrium was found for the case of {name}: {reason}.")
     claim(
         np.array_equal(first.displacement_mm, second.displacement_mm),
-        f"{name} solves the same case to another displacement the second time.",
+        f"{name} gives another displacement when the same case is solved again.",
     )
     claim(np.abs(first.displacement_mm).max() > 0, f"The load of the case moves no node of {name}.")
     deformed = organ.deform(body, mesh, first.displacement_mm)
@@ -142,7 +142,7 @@ def _check_fit(
     )
     claim(here.residuals is not None, f"A fit of {organ.name} has no residuals.")
     equations = here.residuals.equations
-    step = -np.linalg.solve(equations.hessian, equations.gradient)  # of the logarithms
+    step = -np.linalg.solve(equations.hessian, equations.gradient)  # of logarithms
     nearer = {n: constants[n] * float(np.exp(step[k])) for k, n in enumerate(free)}
     left = fitted({**constants, **nearer}).residuals.equations.cost
     claim(

@@ -1,4 +1,4 @@
-"""Checks of a score that a search can optimise."""
+"""Checks of scores that a search can optimise."""
 
 from collections.abc import Sequence
 from copy import deepcopy
@@ -15,7 +15,7 @@ from palpate.workers.comparison.similarity.objective import Objective
 def check_score(
     objective: Objective, target: Any = None, candidates: Sequence[Any] | None = None
 ) -> None:
-    """Check what every score promises.
+    """Check the contract of a score.
 
     It can be pickled; its name is an identifier and its direction known; a body that equals the
     target has the best score; a body moved farther away does not score better; the same bodies
@@ -24,23 +24,23 @@ def check_score(
     Parameters
     ----------
     objective : Objective
-        With a `measure`.
+        Score with a `measure`.
     target : object, optional
-        A body of the organ; by default a small breast of labelled voxels.
+        A body of the organ. Default: a small breast of labelled voxels.
     candidates : sequence, optional
-        Bodies that resemble the target less and less.
+        Bodies in order of decreasing similarity to the target.
 
     Raises
     ------
     AssertionError
-        Naming the first promise that is broken.
+        Naming the first violated condition.
     """
     check_pickles(objective, f"The score {objective.name}")
-    claim(objective.name.isidentifier(), f"The name {objective.name!r} is no identifier.")
+    claim(objective.name.isidentifier(), f"The name {objective.name!r} is not an identifier.")
     claim(objective.label, f"{objective.name} has no label.")
     claim(
         objective.direction in ("lower", "higher"),
-        f"{objective.name}: the direction is lower or higher, found {objective.direction!r}.",
+        f"{objective.name}: the direction must be lower or higher, found {objective.direction!r}.",
     )
     if objective.measure is None:
         return

@@ -1,4 +1,4 @@
-"""Checks of a search strategy."""
+"""Checks of search strategies."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from palpate.storage.values import FloatArray
 from palpate.testing.claims import check_pickles, claim
 
 BOUNDS = {"E_kpa": (5.0, 80.0), "eta_kpa": (50.0, 200.0)}
-# One unit inside is 1000 at the door.
+# One internal unit is 1000 in files.
 NAMES = FittedNames(("E", "eta"), (1000.0, 1000.0))
 TRUTH = np.array([33.0, 120.0])
 STRETCHES = np.linspace(0.1, 1.0, 12)
@@ -21,24 +21,24 @@ NOISE = 0.05
 
 
 def check_search(strategy: Strategy, search: SearchSpec | None = None, seed: int = 5) -> None:
-    """Check what every strategy promises, on a spring whose two stiffnesses are to be found.
+    """Check the contract of a search strategy on a spring with two unknown stiffnesses.
 
     It is a pure function of the generations before: asked again, or resumed from any of them, it
     proposes the same to the last bit, in whatever order scores arrive. Candidates are within
     their bounds; one that fails does not stop the search; it ends, within the number of
-    evaluations that it states; and it comes closer than its first generation.
+    evaluations that it states; and it improves on its first generation.
 
     Parameters
     ----------
     strategy : Strategy
     search : SearchSpec, optional
-        Settings, for a strategy that needs others than a population of 12 and 5 generations.
+        Settings. Default: a population of 12 and 5 generations.
     seed : int
 
     Raises
     ------
     AssertionError
-        Naming the first promise that is broken.
+        Naming the first violated condition.
     """
     name = strategy.name
     settings = search or SearchSpec(parameters=BOUNDS, population=12, generations=5, elite=1)
@@ -49,7 +49,7 @@ def check_search(strategy: Strategy, search: SearchSpec | None = None, seed: int
     _check_fold(strategy, asked, history, proposals)
     found = min(g.scores.min() for g in history) < history[0].scores.min()
     closer = np.median(history[-1].scores) < np.median(history[0].scores)
-    claim(found or closer, f"{name} comes no closer than its first generation.")
+    claim(found or closer, f"{name} does not improve on its first generation.")
     _followed(strategy.make(asked), strategy, asked, fails=(1, 3))
 
 
@@ -77,13 +77,13 @@ def _check_fold(
 def _followed(
     search: Search, strategy: Strategy, asked: SearchRequest, fails: Sequence[int]
 ) -> tuple[list[Generation], list[Proposal]]:
-    """Run a search to its end; evaluations in `fails`, by their number, have no score."""
+    """Run a search to its end; evaluations with numbers in `fails` have no score."""
     most = strategy.most_evaluations(asked)
     history: list[Generation] = []
     proposals: list[Proposal] = []
     count = 0
     while isinstance(proposal := search.propose(history), Proposal):
-        claim(proposal.to_evaluate, f"{strategy.name} proposes nobody new and does not stop.")
+        claim(proposal.to_evaluate, f"{strategy.name} proposes no new candidate and does not stop.")
         scores, fits = {}, {}
         for i in proposal.to_evaluate:
             fit = None if count in fails else _fit(proposal.genes[i])
@@ -94,7 +94,7 @@ def _followed(
         history.append(proposal.complete(backwards, history, fits))
         proposals.append(proposal)
         claim(count <= most, f"{strategy.name} has evaluated more than {most} candidates.")
-    claim(proposal.reason, f"{strategy.name} does not say why it stops.")
+    claim(proposal.reason, f"{strategy.name} gives no reason for stopping.")
     return history, proposals
 
 
@@ -104,7 +104,7 @@ def _forces(genes: FloatArray) -> FloatArray:
 
 def _fit(genes: FloatArray) -> FitJson:
     residuals = (_forces(genes) - _forces(TRUTH)) / NOISE
-    # By logarithms; written in the order (eta, E), which a search must not mistake.
+    # By logarithms, in the order (eta, E), which a search must not confuse.
     jacobian = np.stack([genes[1] * STRETCHES**3, genes[0] * STRETCHES], axis=1) / NOISE
     return {
         "parameters": ["eta", "E"],

@@ -1,1 +1,1 @@
-"""Candidates of a table, evaluated as those of a search are."""
+"""Evaluation of the candidates of a table."""

@@ -1,4 +1,4 @@
-"""A table of candidates: read from Python or a file, and checked before any work starts."""
+"""Tables of candidates from Python or a file, checked before any work starts."""
 
 import csv
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,7 +22,7 @@ def read_table(path: Path) -> dict[str, Sequence[Any]]:
     Raises
     ------
     InputError
-        If it cannot be read, or a line has another number of values than the heading.
+        If it cannot be read, or the number of values in a line differs from the heading.
     """
     if path.suffix.lower() == ".parquet":
         table = pyarrow().parquet.read_table(path)
@@ -40,13 +40,13 @@ def read_table(path: Path) -> dict[str, Sequence[Any]]:
     for number, line in enumerate(lines[1:], 1):
         if len(line) != len(heading):
             raise InputError(
-                f"{path}, row {number}: {len(heading)} columns are named, found {len(line)} values."
+                f"{path}, row {number}: expected {len(heading)} values, found {len(line)}."
             )
     return {name: [line[i] for line in lines[1:]] for i, name in enumerate(heading)}
 
 
 def candidates_of(spec: StudySpec, table: Any) -> list[Genes]:
-    """Return the candidates of a table by name, checked.
+    """Return the checked candidates of a table.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def candidates_of(spec: StudySpec, table: Any) -> list[Genes]:
     Raises
     ------
     InputError
-        Naming the row and column of a value that makes no sense.
+        If a value is not valid; the message names its row and column.
     """
     rows = list(_rows(table))
     if not rows:
@@ -104,7 +104,7 @@ def _values(column: Any) -> list[Any]:
 
 
 def _checked(spec: StudySpec, number: int, row: Mapping[str, Any]) -> Genes:
-    """Return a row as numbers, which its case accepts."""
+    """Return a row as numbers, checked against its case."""
     found: Genes = {}
     for name, value in row.items():
         try:

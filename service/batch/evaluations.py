@@ -25,12 +25,12 @@ SCORES = ("gsf", "jc", "mhd_mm")
 
 @dataclass(frozen=True, eq=False)
 class Evaluations:
-    """A table of evaluated candidates, one row for each that was asked for, in their order.
+    """A table of evaluated candidates, one row for each request, in order.
 
     Parameters
     ----------
     records : tuple of EvaluationRecord
-        How each candidate ended, `candidate` being its row from 0.
+        The ending of each candidate; `candidate` is its row, from 0.
     objective : str
         The score by which candidates are ranked.
     """
@@ -58,7 +58,7 @@ class Evaluations:
     def columns(self) -> dict[str, NDArray[Any]]:
         """The table as arrays of equal length.
 
-        The constants as they were given; ``status`` (done, diverged, crashed or lost) and
+        The constants as given; ``status`` (done, diverged, crashed or lost) and
         ``reason``; ``gsf``, ``jc`` and ``mhd_mm``, and the score that the study optimises where it
         is another one, NaN without a score; ``seconds`` of computation; ``reused``, whether the
         store had the evaluation already.
@@ -109,7 +109,7 @@ class Evaluations:
         Raises
         ------
         InputError
-            If the suffix is another one, or pyarrow is missing for Parquet.
+            If the suffix is neither, or pyarrow is missing for Parquet.
         StoreError
             If the file system refuses.
         """
@@ -130,7 +130,7 @@ class Evaluations:
 
 
 def check_table_suffix(path: Path) -> None:
-    """Refuse a file that a table could not be written to.
+    """Refuse a path to which a table cannot be written.
 
     Raises
     ------
@@ -139,9 +139,9 @@ def check_table_suffix(path: Path) -> None:
     """
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(
-            f"{path}: {path.suffix or 'no suffix'} is not known, use .csv or .parquet."
+            f"{path}: {path.suffix or 'no suffix'} is not supported; use .csv or .parquet."
         )
     if not path.absolute().parent.is_dir():
-        raise InputError(f"{path}: the folder {path.parent} does not exist, make it first.")
+        raise InputError(f"{path}: the folder {path.parent} does not exist; create it.")
     if path.suffix.lower() == ".parquet":
         pyarrow()

@@ -1,4 +1,4 @@
-"""Shows how far a batch is: a line that is renewed on a terminal, one every 10 s elsewhere."""
+"""Progress of a batch: one line, updated on a terminal and repeated every 10 s elsewhere."""
 
 import time
 from collections import Counter
@@ -16,7 +16,7 @@ from palpate.storage.records.tasks import PreparedBody, PreparedTarget
 
 
 class BatchProgress(Observer):
-    """Counts the candidates that have ended, as an observer and a context manager.
+    """A counter of completed candidates, as an observer and a context manager.
 
     Parameters
     ----------
@@ -42,18 +42,18 @@ class BatchProgress(Observer):
         self._live.stop()
 
     def started(self, facts: StudyFacts) -> None:
-        """Remember how many candidates there are."""
+        """Store the number of candidates."""
         self.of, self.workers = facts.most_evaluations, facts.workers
         self.phase = "preparing body and mesh"
 
     def prepared(
         self, what: Literal["case", "target"], record: PreparedBody | PreparedTarget
     ) -> None:
-        """Remember what comes next."""
+        """Store the next phase."""
         self.phase = "making the target" if what == "case" else ""
 
     def evaluation_ended(self, record: EvaluationRecord, replayed: bool) -> None:
-        """Count, and print a line now and then."""
+        """Count a candidate, and print a line from time to time."""
         self.counts[record.status.value] += 1
         self.reused += record.reused
         if not record.reused:
@@ -64,7 +64,7 @@ class BatchProgress(Observer):
 
     @property
     def text(self) -> str:
-        """How far the batch is, in words."""
+        """The progress of the batch as text."""
         if self.phase:
             return self.phase
         parts = [f"{ended_of(self.counts):,} of {self.of:,} candidates"]

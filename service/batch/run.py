@@ -1,7 +1,7 @@
-"""Evaluates candidates that no search has proposed, such as those of a table.
+"""Evaluation of candidates that no search has proposed, such as the rows of a table.
 
-The store is the memory: an evaluation that it has is not computed again, whoever asked for it
-first, and an interrupted batch continues where it stopped.
+Evaluations in the store are not computed again, whoever requested them first, so an
+interrupted batch continues where it stopped.
 """
 
 from collections.abc import Iterable, Mapping
@@ -35,12 +35,12 @@ class BatchPlan:
     Parameters
     ----------
     spec : StudySpec
-        Its search is not run.
+        The study; its search is not run.
     candidates : tuple of dict
         Checked; see `service.batch.candidate_table.candidates_of`.
     store : Path or ObjectPath
     is_checked : bool
-        Whether the study has run before, so that its inputs are known to be plausible.
+        Whether the study has run before, so its inputs have been checked already.
     """
 
     spec: StudySpec
@@ -66,14 +66,14 @@ def plan_batch(
     table : mapping, DataFrame, structured array, or sequence of mappings
         See `service.batch.candidate_table.candidates_of`.
     folder : Path
-        Of the study, which need not exist.
+        Folder of the study, which need not exist.
     store : Path, ObjectPath or str, optional
-        Default: that of the study's last run, else the folder ``store`` beside the study's.
+        Default: the store of the study's last run, else ``store`` next to the study's folder.
 
     Raises
     ------
     InputError
-        Naming the row and column of a value that makes no sense.
+        If a value is not valid; the message names its row and column.
     """
     candidates = tuple(candidates_of(spec, table))
     study = StudyFolder(folder, spec, accept_new_code=True)
@@ -90,26 +90,26 @@ def evaluate_batch(
     observers: Iterable[Observer] = (),
     tasks: Tasks | None = None,
 ) -> Evaluations:
-    """Evaluate candidates as a search of a study would, and reuse what the store has.
+    """Evaluate candidates as a search of a study would, reusing stored evaluations.
 
     Parameters
     ----------
     plan : BatchPlan
     runner : TaskRunner
     observers : iterable of Observer
-        Are called as for a study of one generation.
+        Called as for a study of one generation.
     tasks : Tasks, optional
 
     Raises
     ------
     InputError
-        If the case or the target makes no sense.
+        If the case or the target is not valid.
     StoreError
         If the store cannot be used.
     ClusterError
-        If the workers cannot do the work; what is finished is kept.
+        If the workers cannot do the work; completed evaluations are saved.
     Interrupted
-        If the runner is told to stop; what is finished is kept.
+        If the runner is asked to stop; completed evaluations are saved.
     """
     hooks, candidates = Hooks(observers), plan.candidates
     work = _prepared(plan, runner, hooks, tasks or Tasks())
@@ -157,7 +157,7 @@ def _was_reused(result: Mapping[str, Any] | None) -> bool:
 
 
 def _prepared(plan: BatchPlan, runner: TaskRunner, hooks: Hooks, tasks: Tasks) -> StudyWork:
-    """Bring case and target into the store, which is quick when they are there."""
+    """Prepare case and target in the store; quick if they are there already."""
     store, spec = open_store(plan.store), plan.spec
     facts = StudyFacts(
         name=spec.name,

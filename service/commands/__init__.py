@@ -1,1 +1,1 @@
-"""Holds one command a file. Each imports what it needs when it is called: help stays quick."""
+"""Commands, one a file; heavy imports are deferred to the call, so that help is fast."""

@@ -1,4 +1,4 @@
-"""Options that commands share, and how they print results."""
+"""Options shared by commands, and output of results."""
 
 import json
 from collections.abc import Iterable
@@ -64,11 +64,11 @@ StudyArgument = Annotated[
 
 
 def print_findings(findings: Iterable[Finding]) -> None:
-    """Print what plausibility checks have found, on standard error."""
+    """Print the findings of plausibility checks on standard error."""
     for finding in findings:
         typer.echo(f"Warning: {finding.text}", err=True)
 
 
 def print_json(value: Any) -> None:
-    """Print one record, readable by people as well; infinities as the texts "-inf" and "inf"."""
+    """Print one indented record; infinities are the strings "-inf" and "inf"."""
     typer.echo(json.dumps(to_plain(value), indent=2, ensure_ascii=False, allow_nan=False))

@@ -1,4 +1,4 @@
-"""What a case or an experiment was understood to say, before anything runs."""
+"""Summaries of a case, an experiment or a study, printed before anything runs."""
 
 from pathlib import Path
 
@@ -10,12 +10,12 @@ from palpate.workers.tasks.sources import understood
 
 
 def print_understood(source: Path) -> None:
-    """Print a table on the console, and nothing for a study.
+    """Print a table of a case or an experiment; nothing for a study.
 
     Raises
     ------
     InputError
-        If the file does not make sense.
+        If the file is not valid.
     """
     rows = understood(source)
     if not rows:
@@ -24,14 +24,14 @@ def print_understood(source: Path) -> None:
 
 
 def print_understood_study(spec: StudySpec, console: Console) -> None:
-    """Print the physics that a study rests on, its defaults included."""
+    """Print the physics of a study, including defaults."""
     rows = spec.case.understood([parameter["name"] for parameter in spec.free_parameters])
     if rows:
         print_table(console, None, rows, title="Understood:")
 
 
 def folder_name(source: Path) -> str:
-    """Return the name of the folder in runs/ for what lies at a path."""
+    """Return the name of the folder in runs/ for the source at a path."""
     path = source.absolute()
     if not path.is_file():
         return path.name

@@ -1,4 +1,4 @@
-"""Lets a command be stopped by Ctrl-C, and continued."""
+"""Commands that Ctrl-C stops and that can be continued."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,14 +16,14 @@ INTERRUPTED = 130
 
 
 def interrupted() -> typer.Exit:
-    """Print that nothing is lost, and return the exit to raise."""
-    typer.echo(f"Interrupted; what is finished is kept. To continue: {this_command()}", err=True)
+    """Print how to continue, and return the exit to raise."""
+    typer.echo(f"Interrupted; completed work is saved. To continue: {this_command()}", err=True)
     return typer.Exit(INTERRUPTED)
 
 
 @contextmanager
 def interruptible() -> Iterator[list[int]]:
-    """Stop the work within at Ctrl-C or SIGTERM, and leave with 130 and how to continue."""
+    """Stop the enclosed work at Ctrl-C or SIGTERM; exit with 130 and print how to continue."""
     with stop_requests() as requests:
         try:
             yield requests

@@ -1,4 +1,4 @@
-"""A command group that imports a command's module only when that command is needed."""
+"""A command group that imports the module of a command on demand."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,22 +13,22 @@ _PACKAGE = "palpate.service.commands"
 
 @dataclass(frozen=True, slots=True)
 class LazyCommand:
-    """A command, or a group of commands, that is not imported yet.
+    """A command, or a group of commands, that has not been imported.
 
     Parameters
     ----------
     place : str
-        Its module below `service.commands` and the name of the function or `typer.Typer` there,
+        Module below `service.commands` and name of the function or `typer.Typer` in it,
         as in ``studies.run:run``.
     summary : str
-        The first sentence of its help.
+        First sentence of its help.
     """
 
     place: str
     summary: str
 
     def load(self, name: str) -> Any:
-        """Import the module and return the command as Typer runs it."""
+        """Import the module and return the Click command."""
         module, _, attribute = self.place.partition(":")
         found = getattr(import_module(f"{_PACKAGE}.{module}"), attribute)
         app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -40,11 +40,11 @@ class LazyCommand:
 
 
 def lazy_group(commands: Mapping[str, LazyCommand]) -> type[TyperGroup]:
-    """Return a group that lists commands by their summaries and loads the one that is used."""
+    """Return a group that lists commands by summary and loads only the one used."""
 
     class LazyGroup(TyperGroup):
         def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
-            """Replace the entry of the list by the command; also used by shell completion."""
+            """Replace the placeholder with the command; also used by shell completion."""
             name, listed, rest = super().resolve_command(ctx, args)
             return name, commands[name].load(name) if name else listed, rest
 
@@ -58,4 +58,4 @@ def list_commands(app: typer.Typer, commands: Mapping[str, LazyCommand]) -> None
 
 
 def _listed() -> None:
-    """Stand in the list for a command; `lazy_group` never runs it."""
+    """Do nothing; a placeholder for a command in the list, never run."""

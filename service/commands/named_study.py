@@ -1,4 +1,4 @@
-"""The study that a user names, and the constants stated for it."""
+"""The study named by a user, and the constants stated for it."""
 
 from pathlib import Path
 
@@ -11,12 +11,12 @@ from palpate.workers.spec import CaseSpec
 
 
 def find_study(given: Path | None) -> Path:
-    """Find the folder of a study from what a user types.
+    """Return the folder of a study from the user's argument.
 
     Raises
     ------
     InputError
-        If there is none.
+        If there is no such study.
     """
     if given is None:
         return _latest()
@@ -36,29 +36,29 @@ def load_spec(given: Path) -> StudySpec:
     Raises
     ------
     InputError
-        If there is none, or it makes no sense.
+        If there is none, or it is not valid.
     """
     return read_spec(StudyLayout(given).study if given.is_dir() else given)
 
 
 def load_case(given: Path) -> NamedCase:
-    """Read the case in a file, which need not state a target or a search, or in a study's folder.
+    """Read the case from a file (target and search are optional) or a study's folder.
 
     Raises
     ------
     InputError
-        If there is none, or it makes no sense.
+        If there is none, or it is not valid.
     """
     return read_case(StudyLayout(given).study if given.is_dir() else given)
 
 
 def constants_option(case: CaseSpec, given: list[str]) -> dict[str, float]:
-    """Convert ``E_fat_kpa=12`` to inside names and units, for one simulation.
+    """Convert ``E_fat_kpa=12`` to internal names and units, for one simulation.
 
     Raises
     ------
     InputError
-        If a name is unknown or a value is no number.
+        If a name is unknown or a value is not a number.
     """
     stated: dict[str, float] = {}
     for text in given:
@@ -83,7 +83,7 @@ def _latest() -> Path:
 
 
 def _studies() -> list[Path]:
-    """Return the folders with a journal, the one written last at the end."""
+    """Return the folders with a journal, the most recent last."""
     if not RUNS.is_dir():
         return []
     folders = [folder for folder in RUNS.iterdir() if StudyLayout(folder).journal.is_file()]

@@ -1,4 +1,4 @@
-"""`palpate open` shows the page of a study in a browser."""
+"""The command `palpate open`."""
 
 import os
 import sys
@@ -22,11 +22,11 @@ def open_(study: StudyArgument = None) -> None:
     page = _page(find_study(study))
     typer.echo(f"page: {page}")
     if not _shown(page):
-        typer.echo("No browser was found here: open that file with one.", err=True)
+        typer.echo("No browser was found: open this file in one.", err=True)
 
 
 def _page(folder: Path) -> Path:
-    """Return the page in a folder, newer than what it tells of."""
+    """Return the up-to-date page of a folder, writing it if needed."""
     layout = StudyLayout(folder.absolute())
     for other in ("diagnosis.html", "plan.html"):
         if not layout.journal.is_file() and (layout.root / other).is_file():
@@ -37,14 +37,14 @@ def _page(folder: Path) -> Path:
 
 
 def _is_newer(page: Path, journal: Path) -> bool:
-    """Return whether a page was written after the last line of a journal."""
+    """Return whether a page is newer than the last line of a journal."""
     if not (page.is_file() and journal.is_file()):
         return False
     return page.stat().st_mtime_ns >= journal.stat().st_mtime_ns
 
 
 def _shown(page: Path) -> bool:
-    """Hand the page to a browser; False if there is none."""
+    """Open the page in a browser; return False if there is none."""
     headless = sys.platform.startswith("linux") and not (
         os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or os.environ.get("BROWSER")
     )

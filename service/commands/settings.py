@@ -1,4 +1,4 @@
-"""What holds where an option is not given: the environment, then a default.
+"""Settings of options that are not given: from the environment, then defaults.
 
 ::
 
@@ -6,7 +6,7 @@
     PALPATE_SCHEDULER    --scheduler
     PALPATE_WORKERS      --workers
 
-An option counts more than the environment, for --scheduler and --workers together.
+An option overrides the environment; --scheduler and --workers count as one option.
 """
 
 import os
@@ -27,34 +27,34 @@ _arguments: ContextVar[tuple[str, ...]] = ContextVar("arguments of the command",
 
 
 def remember_command(arguments: Sequence[str]) -> None:
-    """Note what was typed, for `this_command`."""
+    """Store the command line for `this_command`."""
     _arguments.set(tuple(arguments))
 
 
 def this_command() -> str:
-    """Return the command that is running, as it can be typed again."""
+    """Return the running command in a form that can be pasted into a shell."""
     return shlex.join(["palpate", *_arguments.get()])
 
 
 def stated_store(option: str | None) -> Place | None:
-    """Return the store that was given as an option or in the environment, or None.
+    """Return the store given as an option or in the environment, or None.
 
     Raises
     ------
     StoreError
-        If it is a URL of a place where no store can be.
+        If it is a URL of an unsupported kind.
     """
     given = option or os.environ.get(STORE)
     return place_of(given) if given else None
 
 
 def store_place(option: str | None) -> Place:
-    """Return the store that is used: what was given, else runs/store.
+    """Return the store to use: the one given, else runs/store.
 
     Raises
     ------
     StoreError
-        If it is a URL of a place where no store can be.
+        If it is a URL of an unsupported kind.
     """
     return stated_store(option) or place_of(RUNS / "store")
 
@@ -62,14 +62,14 @@ def store_place(option: str | None) -> Place:
 def cluster_options(
     scheduler: str | None, workers: str | None
 ) -> tuple[str | None, Workers | None]:
-    """Return the scheduler or the number of workers that is used; neither by default.
+    """Return the scheduler or the number of workers; both None by default.
 
     Raises
     ------
     InputError
-        If both are given, or `workers` is no number or range, or too few.
+        If both are given, or `workers` is not a number or range, or too small.
     ClusterError
-        If the scheduler's address is none.
+        If the scheduler's address is not valid.
     """
     option = "--workers "
     if scheduler is None and workers is None:
@@ -77,8 +77,8 @@ def cluster_options(
         workers, option = None if scheduler else os.environ.get(WORKERS) or None, f"{WORKERS}="
     elif scheduler is not None and workers is not None:
         raise InputError(
-            "--workers starts processes of this machine, --scheduler uses those of a running "
-            "cluster, whose number is not ours to change: give one of them."
+            "--workers starts processes on this machine, --scheduler uses those of a running "
+            "cluster, whose number cannot be changed here: give one of them."
         )
     if scheduler is not None:
         host_and_port(scheduler)

@@ -1,4 +1,4 @@
-"""Prints text and tables on terminals of any width, and into pipes without cutting anything."""
+"""Text and tables on terminals of any width, and in pipes without truncation."""
 
 import textwrap
 from collections.abc import Sequence
@@ -10,12 +10,12 @@ from palpate.service.commands.verbosity import is_quiet
 Row = Sequence[str]
 
 GAP = 2
-# A last column narrower than this is not worth wrapping: the row is written as a record.
+# If the last column would be narrower than this, the row is printed as a record.
 NARROWEST_TEXT = 24
 
 
 def progress_console(*, stderr: bool = True) -> Console:
-    """Return a console for what is said beside the result; see `service.commands.verbosity`."""
+    """Return a console for progress and notes; see `service.commands.verbosity`."""
     return Console(
         stderr=stderr,
         quiet=is_quiet(),
@@ -27,7 +27,7 @@ def progress_console(*, stderr: bool = True) -> Console:
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """Return a console that breaks no line by itself: terminals do, and pipes must not."""
+    """Return a console without line wrapping, which terminals do and pipes must not."""
     return Console(stderr=stderr, highlight=False, markup=False, emoji=False, soft_wrap=True)
 
 
@@ -39,18 +39,18 @@ def print_table(
     title: str = "",
     right: Sequence[int] = (),
 ) -> None:
-    """Print a table as wide as its text; on a terminal that is narrower, one that fits.
+    """Print a table as wide as its text, or fitted to a narrower terminal.
 
     Parameters
     ----------
     console : rich.console.Console
     headings : sequence of str or None
-        One for each column; None for names and texts that need none.
+        One for each column; None for a table without headings.
     rows : sequence of sequence of str
     title : str
         A line above the table.
     right : sequence of int
-        Columns that are flush right, numbers mostly.
+        Right-aligned columns, mostly numbers.
     """
     width = console.width if console.is_terminal else None
     for text in ([title] if title else []) + table_lines(headings, rows, right, width):
@@ -67,8 +67,8 @@ def table_lines(
 ) -> list[str]:
     """Return the lines of a table.
 
-    As one line a row where that fits into `width`; else with the last column wrapped; else
-    as records, one value a line.
+    Each row is one line if it fits into `width`; otherwise the last column is wrapped, or the
+    rows are printed as records, one value per line.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""How much a command says beside its result: `palpate -q`, `-v` and `--log-level`."""
+"""Verbosity of commands: `palpate -q`, `-v` and `--log-level`."""
 
 import logging
 from typing import Literal
@@ -12,14 +12,14 @@ _quiet = False
 
 
 def set_verbosity(*, quiet: bool, level: Level | None) -> None:
-    """Set for this command whether progress is shown, and from which level on log messages are.
+    """Set whether this command shows progress, and the level of its log messages.
 
     Parameters
     ----------
     quiet : bool
         No progress and no notes; results, warnings and errors remain.
     level : {"debug", "info", "warning", "error"} or None
-        None leaves messages to the log file of a study.
+        None writes messages only to the log file of a study.
     """
     global _quiet
     _quiet = quiet
@@ -33,11 +33,11 @@ def set_verbosity(*, quiet: bool, level: Level | None) -> None:
 
 
 def is_quiet() -> bool:
-    """Return whether the user asked for results alone."""
+    """Return whether the user asked for results only."""
     return _quiet
 
 
 def note(text: str) -> None:
-    """Print what is good to know on standard error; nothing where only results are wanted."""
+    """Print a note on standard error, unless only results are wanted."""
     if not _quiet:
         typer.echo(text, err=True)

@@ -1,1 +1,1 @@
-"""Why a simulated body differs from the imaged one: asked of the workers, told to the user."""
+"""Diagnoses and plans: requests to the workers, and reports to the user."""

@@ -1,4 +1,4 @@
-"""Which further measurement would decide most of what a diagnosis leaves open."""
+"""Ranking of further measurements by how much they add to a diagnosis."""
 
 from itertools import combinations
 
@@ -6,26 +6,26 @@ from palpate.service.diagnosis.words import NOT_EFFECTS, listed, spoken, togethe
 from palpate.workers.diagnosis.schema.plan import PlanSummary
 from palpate.workers.diagnosis.schema.summary import NextAcquisition, Summary
 
-# Measurements that are worth a line.
+# Number of measurements to list.
 SHOWN = 4
 
 
 def undecided(summary: Summary) -> bool:
-    """Return whether several causes are left."""
+    """Return whether several causes remain possible."""
     return summary.verdict == "cannot-be-told-apart"
 
 
 def next_acquisitions(summary: Summary, plan: PlanSummary) -> tuple[NextAcquisition, ...]:
-    """Rank the measurements that were tried in a plan, the one that decides most first.
+    """Rank the measurements tried in a plan, the most decisive first.
 
-    First counts which pairs of the suspects of the 90 % set are told apart, then how many
-    effects that hide in the constants come to light, then the order of the plan.
+    The criteria are the number of pairs in the 90 % set that are distinguished, then the number
+    of absorbed effects that are revealed, then the order of the plan.
 
     Parameters
     ----------
     summary : Summary
     plan : PlanSummary
-        Of the same scans.
+        Plan for the same scans.
     """
     suspects = {frozenset(p) for p in combinations(_suspects(summary), 2)}
     hidden = set(summary.absorbed)
@@ -43,18 +43,18 @@ def next_acquisitions(summary: Summary, plan: PlanSummary) -> tuple[NextAcquisit
 
 
 def worth(option: NextAcquisition) -> str:
-    """Say what one of them would decide, in a phrase.
+    """Return a phrase on what a measurement would decide.
 
     Examples
     --------
     >>> worth(NextAcquisition("a view", (("gravity_change", "fibre_fan"),), (), 0.62))
-    'tells gravity change from fibre fan; the smallest magnitudes found become 0.62 times as large'
+    'distinguishes gravity change from fibre fan; detection limits become 0.62 times as large'
     """
     pairs = [f"{spoken(a)} from {spoken(b)}" for a, b in option.separates]
-    words = [f"tells {listed(pairs)}"] if pairs else []
+    words = [f"distinguishes {listed(pairs)}"] if pairs else []
     if option.reveals:
-        words.append(f"brings {together(option.reveals)} to light")
-    words.append(f"the smallest magnitudes found become {option.minimum_ratio:.2f} times as large")
+        words.append(f"reveals {together(option.reveals)}")
+    words.append(f"detection limits become {option.minimum_ratio:.2f} times as large")
     return "; ".join(words)
 
 

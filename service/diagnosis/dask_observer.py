@@ -1,4 +1,4 @@
-"""Tells the scheduler of a cluster how far a diagnosis is, for `service.cluster.dask_tab`."""
+"""Progress of a diagnosis for the scheduler; see `service.cluster.dask_tab`."""
 
 import socket
 from pathlib import Path
@@ -13,14 +13,14 @@ from palpate.workers.tasks.diagnosis_store import DiagnosisRequest
 
 
 class DiagnosisRecords:
-    """An observer of `service.diagnosis.run.run`; every step is sent as it is taken.
+    """An observer of `service.diagnosis.run.run` that sends each step to the scheduler.
 
     Parameters
     ----------
     client : distributed.Client
         Connected to the scheduler.
     place : Path
-        What is diagnosed, or the folder of the diagnosis; the tab shows the last part of it.
+        Source or folder of the diagnosis; the tab shows its last part.
     """
 
     def __init__(self, client: Client, place: Path) -> None:
@@ -29,11 +29,11 @@ class DiagnosisRecords:
         self._send("started", name=place.name)
 
     def __call__(self, step: Step) -> None:
-        """Say how far it is."""
+        """Send the progress."""
         self._send("step", phase=step.phase, done=step.done, of=step.of, task=step.task)
 
     def finished(self, diagnosis: FinishedDiagnosis) -> None:
-        """Say how it has ended."""
+        """Send the verdict."""
         self._send("stopped", reason=diagnosis.summary.verdict)
 
     def _send(self, what: str, **more: Any) -> None:
@@ -44,14 +44,14 @@ class DiagnosisRecords:
 def run_and_tell(
     request: DiagnosisRequest, dispatcher: Dispatcher, place: Path, observe: Observer
 ) -> FinishedDiagnosis:
-    """Diagnose as `service.diagnosis.run.run` does, and tell the scheduler of it.
+    """Run a diagnosis like `service.diagnosis.run.run`, and report it to the scheduler.
 
     Parameters
     ----------
     place : Path
         See `DiagnosisRecords`.
     observe : callable
-        Called with each step, too.
+        Also called with each step.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a diagnosis says of a bench experiment, in lines for a console."""
+"""Results of a diagnosis of a bench experiment, as lines for a console."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -7,14 +7,14 @@ from palpate.service.diagnosis.words import difference, least_length, measured, 
 from palpate.service.formatting import NONE, number
 from palpate.workers.diagnosis.schema.summary import Summary
 
-# A relative change of a constant that is not worth a line.
+# Smaller relative changes of a constant are not reported.
 SMALL = 0.02
-# Points of a state that are printed; the page has all.
+# Number of points printed for a state; the page has all.
 SHOWN = 12
 
 
 def experiment_lines(summary: Summary) -> Iterator[str]:
-    """Yield forces, what hides, and states to come; nothing for scans."""
+    """Yield forces, absorbed effects and predicted states; nothing for scans."""
     if summary.predictions is None:
         return
     yield from summary.data_notes
@@ -26,7 +26,7 @@ def experiment_lines(summary: Summary) -> Iterator[str]:
             yield (
                 f"With {spoken(effect.name)} ({_size(effect.size)}) {name} would be "
                 f"{number(kpa['with'], 3)} kPa instead of {number(kpa['without'], 3)} kPa: these "
-                "states cannot tell the two apart."
+                "states cannot distinguish the two."
             )
     least_mm = least_length(summary.gap_mm)
     for state in summary.predictions:
@@ -46,7 +46,7 @@ def experiment_lines(summary: Summary) -> Iterator[str]:
 
 
 def _force_lines(summary: Summary) -> Iterator[str]:
-    """Yield a line for each force that was read."""
+    """Yield a line for each measured force."""
     for state in summary.markers or ():
         for one in state.reactions:
             left = one.before_n if one.after_n is None else one.after_n

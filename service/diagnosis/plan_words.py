@@ -1,4 +1,4 @@
-"""A plan in words for somebody who is to make the scans."""
+"""A plan in words, for the person who takes the scans."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -15,59 +15,59 @@ from palpate.workers.organs.registry import DEFAULT, catalogue_of
 
 DIGITS = 2
 WHY = {
-    "hidden": "hides in the constants",
+    "hidden": "absorbed by the constants",
     "weak": "too weak at its plausible size",
     "": "can be found",
 }
 
 
 def headline(plan: PlanSummary) -> str:
-    """Return what the planned scans can tell, in two sentences."""
+    """Return the findings that the planned scans allow, in two sentences."""
     scans = plan.scans
     seen = len(plan.effects) - len(plan.silent)
     ones = "One scan" if len(scans) == 1 else f"{len(scans)} scans"
     return (
         f"{ones} ({listed(scans)}) can find {seen} of {len(plan.effects)} effects at their "
-        f"plausible size and tell {plan.told_apart} of {plan.pairs} pairs of them apart. "
+        f"plausible size and distinguish {plan.told_apart} of {plan.pairs} pairs of them. "
         f"{_best(plan)}"
     ).rstrip()
 
 
 def silence(plan: PlanSummary) -> str:
-    """Return which effects can be neither accused nor acquitted; empty if all can."""
+    """Return the effects that can be neither confirmed nor ruled out; empty if none."""
     parts = []
-    for why, words in (("hidden", "hidden in the constants"), ("weak", "too weak")):
+    for why, words in (("hidden", "absorbed by the constants"), ("weak", "too weak")):
         names = [e.name for e in plan.effects if e.why_not == why]
         if names:
             parts.append(f"{together(names)} ({words})")
-    return f"Neither accused nor acquitted: {'; '.join(parts)}." if parts else ""
+    return f"Neither confirmed nor ruled out: {'; '.join(parts)}." if parts else ""
 
 
 def confusions(plan: PlanSummary) -> str:
-    """Return pairs that are seen and stay undecided; empty if there are none."""
+    """Return the pairs that are detected but not distinguished; empty if there are none."""
     pairs = [
         f"{' or '.join(map(spoken, p.effects))} ({p.log_evidence:.1f})" for p in plan.confusable
     ]
     if not pairs:
         return ""
-    return f"Not told apart, with the log evidence that is expected: {'; '.join(pairs)}."
+    return f"Not distinguished, with the expected log evidence: {'; '.join(pairs)}."
 
 
 def drift(plan: PlanSummary) -> str:
-    """Return effects whose numbers mean nothing, and what to do; empty if there are none."""
+    """Return the effects with meaningless numbers and a remedy; empty if there are none."""
     if not plan.loose:
         return ""
     effects = catalogue_of(DEFAULT).effects
     holding = [p.door_name for e in effects if e.holds_body for p in e.parameters]
     return (
-        f"Nothing holds the body sideways: {together(plan.loose)} would push it away, and their "
-        "numbers mean little. Let the chest wall hold it: springs kx and ky in case.yaml, or "
+        f"Nothing holds the body sideways: {together(plan.loose)} would push it away, so their "
+        "numbers mean little. Fix it to the chest wall with springs kx and ky in case.yaml, or "
         f"{listed(holding)} under case.constants of a study."
     )
 
 
 def amounts(parameters: Sequence[ParameterPlan], which: Literal["minimum", "plausible"]) -> str:
-    """Write a magnitude of all parameters of an effect, from the least to the largest by unit.
+    """Return the magnitudes of an effect's parameters as text, with a range for each unit.
 
     Examples
     --------
@@ -90,24 +90,24 @@ def amounts(parameters: Sequence[ParameterPlan], which: Literal["minimum", "plau
 
 
 def nearest(effect: PlannedEffect) -> str:
-    """Return the effect that looks most alike, and the cosine."""
+    """Return the most similar effect and the cosine."""
     if effect.nearest is None:
         return NONE
     return f"{spoken(effect.nearest)} {effect.cosine:.2f}"
 
 
 def gain(acquisition: FurtherMeasurement) -> str:
-    """Return what a further measurement adds, in a phrase."""
+    """Return a phrase on the gain from a further measurement."""
     said = []
     more = acquisition.more_told_apart
     if more > 0:
-        said.append(f"{more} more {'pair' if more == 1 else 'pairs'} told apart")
+        said.append(f"{more} more {'pair' if more == 1 else 'pairs'} distinguished")
     if acquisition.reveals:
-        said.append(f"shows {together(acquisition.reveals)}")
+        said.append(f"reveals {together(acquisition.reveals)}")
     if acquisition.separates:
         pairs = ["{} from {}".format(*map(spoken, pair)) for pair in acquisition.separates]
         said.append(f"separates {listed(pairs)}")
-    return "; ".join(said) or "nothing more told apart"
+    return "; ".join(said) or "nothing more distinguished"
 
 
 def _best(plan: PlanSummary) -> str:
@@ -115,5 +115,5 @@ def _best(plan: PlanSummary) -> str:
         return ""
     first = plan.acquisitions[0]
     if first.more_told_apart <= 0:
-        return "No further measurement that was tried would tell more pairs apart."
-    return f"Most would be gained by {first.name}: {gain(first)}."
+        return "None of the further measurements tried would distinguish more pairs."
+    return f"The most informative would be {first.name}: {gain(first)}."

@@ -1,4 +1,4 @@
-"""A plan from its source to its summary: simulate every load, and weigh what they show."""
+"""A plan from its source to its summary: simulate every load, and evaluate the results."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +20,7 @@ from palpate.workers.tasks.sources import add_source, check_nodes, check_source,
 from palpate.workers.tasks.task_store import TaskStore
 
 PlanObserver = Callable[[int, int, LoadRecord | None], object]
-"""Called with the loads that are done, all of them, and the last one; None at the beginning."""
+"""Called with the number of completed loads, of all loads, and the last record or None."""
 
 NODES = 2000
 
@@ -45,26 +45,26 @@ def checked_plan(
     *,
     anyway: bool = False,
 ) -> tuple[PlanRequest, list[Finding]]:
-    """Bring what is planned into the store, and return what is asked of the workers.
+    """Read the source into the store, and return the request for the workers.
 
     Parameters
     ----------
     path : Path
         Folder of a case or of a study.
     store : str or Path
-        Made where it is missing.
+        Created if missing.
     nodes : int
-        Of the mesh.
+        Number of nodes of the mesh.
     spacing_mm : float
-        Between points on the interfaces.
+        Spacing of points on the interfaces.
     anyway : bool
-        Accept what looks implausible.
+        Accept implausible inputs.
 
     Returns
     -------
     request : PlanRequest
     findings : list of Finding
-        Of the plausibility checks.
+        Findings of the plausibility checks.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def checked_plan(
 
 
 def run_plan(request: PlanRequest, dispatcher: Dispatcher, observe: PlanObserver) -> PlanSummary:
-    """Plan an acquisition, from wherever it stands.
+    """Plan an acquisition, or continue a plan.
 
     Raises
     ------
@@ -91,9 +91,9 @@ def run_plan(request: PlanRequest, dispatcher: Dispatcher, observe: PlanObserver
     StoreError
         If a worker cannot use the store.
     ClusterError, TaskError
-        If the workers cannot do the work; what is finished is kept.
+        If the workers cannot do the work; completed work is saved.
     Interrupted
-        If the dispatcher is told to stop.
+        If the dispatcher is asked to stop.
     """
     loads = dispatcher.call(list_loads, request).loads
     observe(0, len(loads), None)

@@ -18,21 +18,21 @@ from palpate.workers.tasks.diagnosis_store import (
 LINE_EVERY_S = 10.0
 _PHASES = {
     "preparation": "measuring distances to the interfaces",
-    "calibration": "finding the nominal constants",
-    "effects": "asking what every effect would do",
+    "calibration": "fitting the nominal constants",
+    "effects": "simulating every effect",
     "weighing": "weighing",
-    "reading": "reading the noise again",
+    "reading": "re-estimating the noise",
     "refits": "refitting the suspects",
 }
 
 
 class DiagnosisProgress:
-    """A line for each step, and one whenever a step takes long; on a terminal also a spinner.
+    """A line for each step and during long steps; on a terminal also a spinner.
 
     Parameters
     ----------
     console : rich.console.Console
-        On standard error.
+        Console on standard error.
     every_s : float
         The longest time without a line.
     """
@@ -60,7 +60,7 @@ class DiagnosisProgress:
             self._status.stop()
 
     def __call__(self, step: Step) -> None:
-        """Say how far it is."""
+        """Show the progress."""
         phase, done, of, record = step.phase, step.done, step.of, step.record
         self._phase = f"{_PHASES[phase]}: {done} of {of}"
         if self._status is not None:
@@ -80,7 +80,7 @@ class DiagnosisProgress:
             self._line(f"{done} of {of} effects and scans")
 
     def _wait(self) -> None:
-        """Print a line whenever none was printed for long, until the diagnosis ends."""
+        """Print a line after each long silence, until the diagnosis ends."""
         while not self._ended.wait(max(0.01, self._last + self.every_s - time.monotonic())):
             if time.monotonic() - self._last >= self.every_s:
                 self._line(f"still {self._phase}")

@@ -1,4 +1,4 @@
-"""The facts about the constants of a diagnosis that decide whether they may be quoted."""
+"""Whether the constants of a diagnosis may be quoted."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from palpate.storage.records.typed_json import to_json
 from palpate.workers.diagnosis.schema.summary import ConstantEstimate, Summary
 from palpate.workers.diagnosis.verdict.verdict import NO_GAP
 
-# A constant that an effect changes by less is the same with and without it.
+# Smaller changes of a constant by an effect are ignored.
 SAME = 0.05
 KPA_ENDING = "_kpa"
 
 
 @dataclass(frozen=True)
 class JudgedConstant:
-    """A constant of a diagnosis, with the accused effects if there are any.
+    """A constant of a diagnosis, fitted with the accused effects if there are any.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ class JudgedConstant:
         In `unit`.
     unit : str
     interval : (float, float) or None
-        90 % interval; None where none is known or it is withheld.
+        90 % interval; None if it is unknown or withheld.
     answer : Quotability
-        Of `value`.
+        Quotability of `value`.
     """
 
     value: float
@@ -53,12 +53,12 @@ class JudgedConstant:
 
 
 def judged_constants(summary: Summary) -> dict[str, JudgedConstant]:
-    """Return each constant of a diagnosis with its interval and its answer, by its name."""
+    """Return each constant of a diagnosis with its interval and quotability, by name."""
     return {name: _judged(summary, name, one) for name, one in summary.constants.items()}
 
 
 def summary_json(summary: Summary) -> dict[str, Any]:
-    """Return the record that `palpate diagnose --json` prints: with an answer for each constant."""
+    """Return the record of `palpate diagnose --json`, with the quotability of constants."""
     record: dict[str, Any] = to_json(summary)
     for name, one in judged_constants(summary).items():
         record["constants"][name] |= one.answer.as_dict()
@@ -66,18 +66,18 @@ def summary_json(summary: Summary) -> dict[str, Any]:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that the name of a constant ends with; empty for a pure number."""
+    """Return the unit in the name of a constant; empty for a pure number."""
     return "kPa" if name.endswith(KPA_ENDING) else ""
 
 
 def change(constant: ConstantEstimate) -> float:
-    """Return by what part the accused effects change a constant; 0 where that is not known."""
+    """Return the relative change of a constant by the accused effects; 0 if unknown."""
     found = signed_error(constant.after, constant.before)
     return 0.0 if found is None else abs(found)
 
 
 def is_lead(summary: Summary) -> bool:
-    """Return whether there may be no gap, or as large a one on scans that were not fitted to."""
+    """Return whether there may be no gap, or the gap is as large on held-out scans."""
     share = summary.gap_mm.held_out_share
     return NO_GAP in summary.set90 or (share is not None and share.low < 0)
 
@@ -108,13 +108,13 @@ def _identifiable(value: float, interval: Bounds | None) -> Identifiable:
 
 
 def _contradictions(summary: Summary, constant: ConstantEstimate) -> tuple[str, ...]:
-    """Return what the verdict says against a constant."""
+    """Return the verdict's reasons against quoting a constant."""
     if summary.verdict == "no-gap":
         return ()
     if summary.verdict == "none-of-these":
         return ("the model lacks something that is not in the catalogue",)
     if constant.after is None:
-        return ("the cause of the gap is open",)
+        return ("the cause of the gap is undecided",)
     uncertain = summary.verdict == "cannot-be-told-apart" or is_lead(summary)
     if uncertain and change(constant) >= SAME:
         return ("it depends on a cause that is not certain",)
@@ -122,7 +122,7 @@ def _contradictions(summary: Summary, constant: ConstantEstimate) -> tuple[str, 
 
 
 def reasons_by_name(judged: Mapping[str, JudgedConstant]) -> list[tuple[list[str], str]]:
-    """Return the constants that may not be quoted, those with the same reasons together."""
+    """Return the unquotable constants, grouped by their reasons."""
     groups: dict[tuple[str, ...], list[str]] = {}
     for name, one in judged.items():
         if not one.answer.quotable:
@@ -131,7 +131,7 @@ def reasons_by_name(judged: Mapping[str, JudgedConstant]) -> list[tuple[list[str
 
 
 def constant_lines(summary: Summary) -> list[str]:
-    """Return a line for each constant for a console, then why some may not be quoted."""
+    """Return console lines for the constants, then the reasons against quoting some."""
     judged = judged_constants(summary)
     lines = [
         f"{name.removesuffix(KPA_ENDING)}: {one.text}" + _without(summary, name)
@@ -145,8 +145,8 @@ def constant_lines(summary: Summary) -> list[str]:
 
 
 def _without(summary: Summary, name: str) -> str:
-    """Return the value of the nominal model, where what was found has changed it."""
+    """Return the value of the nominal model, if the accused effects change it."""
     constant = summary.constants[name]
     if summary.verdict == "no-gap" or constant.after is None:
         return ""
-    return f", without what was found {number(constant.before, 3)} {unit_of(name)}".rstrip()
+    return f", without the accused effects {number(constant.before, 3)} {unit_of(name)}".rstrip()

@@ -1,7 +1,7 @@
-"""A diagnosis from its source to its outcome: which tasks are sent, until nothing is wanted.
+"""A diagnosis from its source to its outcome: tasks are sent until none is wanted.
 
-Every step is a task that leaves its result in the store under the digest of all that
-it depends on. Running a diagnosis and going on with an interrupted one are the same.
+Every step is a task that stores its result under the digest of everything it depends on.
+Running a diagnosis and continuing an interrupted one are the same.
 """
 
 import math
@@ -43,17 +43,17 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class Step:
-    """How far a diagnosis is.
+    """The progress of a diagnosis.
 
     Parameters
     ----------
     phase : {"preparation", "calibration", "effects", "weighing", "reading", "refits"}
     done, of : int
-        Tasks of the phase that have ended, and all of them; none when it begins.
+        Completed tasks of the phase, and all of them; 0 when it begins.
     task : str
-        What the last one was about: "plate_tilt with friction". Empty when the phase begins.
+        Subject of the last one: "plate_tilt with friction". Empty when the phase begins.
     record : object
-        What it returned.
+        Its result.
     """
 
     phase: str
@@ -67,7 +67,7 @@ Observer = Callable[[Step], object]
 
 
 class Workers(Protocol):
-    """Who does the work: a `service.cluster.dispatch.Dispatcher`, or one process alone."""
+    """The workers: a `service.cluster.dispatch.Dispatcher`, or this process."""
 
     @property
     def threads(self) -> int:
@@ -77,19 +77,19 @@ class Workers(Protocol):
         """Run a task for each key and its arguments."""
 
     def everywhere(self, task: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
-        """Run a task on each worker that is there now."""
+        """Run a task on each current worker."""
 
 
 @dataclass(frozen=True, eq=False)
 class FinishedDiagnosis:
-    """A diagnosis that has ended.
+    """A completed diagnosis.
 
     Parameters
     ----------
     summary : Summary
     maps : dict of str to ndarray
         ``points`` (k, 3) in mm; ``interface`` (k,), 0 for the outline; ``before``,
-        ``noise`` (standard deviation) and, where an effect is accused, ``after``: residuals
+        ``noise`` (standard deviation) and, if an effect is accused, ``after``: residuals
         in mm, shape (scans, k).
     scans : sequence of str
         Names of the loaded scans.
@@ -107,20 +107,20 @@ def request_for(
     spacing_mm: float | None = None,
     effects: Iterable[str] | None = None,
 ) -> DiagnosisRequest:
-    """Bring what is diagnosed into the store, and return what is asked of the workers.
+    """Read the source into the store, and return the request for the workers.
 
     Parameters
     ----------
     source : Path or Source
-        What is diagnosed, or where it lies; see `workers.tasks.sources.open_source`.
+        The source or its path; see `workers.tasks.sources.open_source`.
     store : str or Path
-        Made where it is missing.
+        Created if missing.
     nodes : int
-        Of the mesh.
+        Number of nodes of the mesh.
     spacing_mm : float, optional
-        Between points on the interfaces; more where there are more than two loaded scans.
+        Spacing of points on the interfaces; larger if there are more than two loaded scans.
     effects : iterable of str, optional
-        Those that are suspected; the whole catalogue of the source.
+        The suspected effects. Default: the whole catalogue of the source.
 
     Raises
     ------
@@ -147,13 +147,13 @@ def request_for(
 
 
 def with_caveats(diagnosis: FinishedDiagnosis, caveats: tuple[str, ...]) -> FinishedDiagnosis:
-    """Return a diagnosis that begins with these statements."""
+    """Return a diagnosis with these statements added first."""
     summary = replace(diagnosis.summary, caveats=caveats or None)
     return replace(diagnosis, summary=summary)
 
 
 def finished(request: DiagnosisRequest) -> FinishedDiagnosis | None:
-    """Return the diagnosis if the store has it."""
+    """Return the diagnosis from the store, or None."""
     part = DiagnosisStore(request).outcome
     if not part.is_finished:
         return None
@@ -164,7 +164,7 @@ def finished(request: DiagnosisRequest) -> FinishedDiagnosis | None:
 def run(
     request: DiagnosisRequest, workers: Workers, observe: Observer = lambda step: None
 ) -> FinishedDiagnosis:
-    """Diagnose a case, from wherever it stands.
+    """Diagnose a case, or continue a diagnosis.
 
     Parameters
     ----------
@@ -180,9 +180,9 @@ def run(
     StoreError
         If a worker cannot use the store, or runs another version.
     ClusterError, TaskError
-        If the workers cannot do the work; what is finished is kept.
+        If the workers cannot do the work; completed work is saved.
     Interrupted
-        If the dispatcher is told to stop.
+        If the dispatcher is asked to stop.
     """
     require_plugins(workers, plugged_effects_of(request))
     store = DiagnosisStore(request)
@@ -191,7 +191,7 @@ def run(
     if workers.threads > 1 and not store.calibration.is_finished:
         phases.run("preparation", prepare_scan, [(name,) for name in store.preparations])
     (calibration,) = phases.run("calibration", calibrate_nominal, [()], by_scans=True)
-    # The longest tasks come first, so that nobody waits for them at the end.
+    # Longest tasks first, so that none runs alone at the end.
     effects = sorted(request.effects, key=lambda name: name not in slow)
     numbers = range(calibration.scans)
     phases.run("effects", analyse_effect, [(e, number) for e in effects for number in numbers])
@@ -205,19 +205,19 @@ def run(
     diagnosis = finished(request)
     if diagnosis is None:
         raise TaskError(
-            f"The diagnosis has ended, but {request.store} does not hold it. Give a --store "
-            "that workers and driver share."
+            f"The diagnosis has ended, but is missing from {request.store}. Give a --store "
+            "shared by the workers and this process."
         )
     return diagnosis
 
 
 def plugged_effects_of(request: DiagnosisRequest) -> list[Plugin]:
-    """Return the effects of other distributions that a diagnosis suspects."""
+    """Return the suspected effects from other distributions."""
     return [p for p in foreign_plugins() if p.group == "effects" and p.name in request.effects]
 
 
 class _Phases:
-    """Sends the tasks of one diagnosis, phase after phase."""
+    """The tasks of one diagnosis, sent phase by phase."""
 
     def __init__(
         self,
@@ -235,9 +235,9 @@ class _Phases:
         arguments: list[tuple[Any, ...]],
         by_scans: bool = False,
     ) -> list[R]:
-        """Run a task for each of `arguments`; its records in order of arrival.
+        """Run a task for each of `arguments`; return the records in order of arrival.
 
-        One that goes `by_scans` is told how many threads it may have.
+        A task with `by_scans` receives its number of threads.
         """
         of, threads = len(arguments), self.workers.threads
         self.observe(Step(phase, 0, of))
@@ -253,15 +253,15 @@ class _Phases:
         return records
 
     def _is_slow(self, arguments: tuple[Any, ...]) -> bool:
-        """Return whether a task is about an effect that takes long."""
+        """Return whether a task is about a slow effect."""
         return bool(arguments) and not self.slow.isdisjoint(arguments[0])
 
 
 def _spare(threads: int, tasks: int, is_slow: bool) -> int:
-    """Return how many threads one of some tasks may have.
+    """Return the number of threads for one of several tasks.
 
-    An even share; and where soon there are fewer tasks than threads, one that takes long begins
-    with two, so that nobody waits for it at the end.
+    An even share; if there will soon be fewer tasks than threads, a slow task starts with two, so
+    that it does not run alone at the end.
     """
     even = max(1, threads // tasks)
     waited_for = tasks < 2 * threads and is_slow
@@ -269,6 +269,6 @@ def _spare(threads: int, tasks: int, is_slow: bool) -> int:
 
 
 def _about(arguments: tuple[Any, ...]) -> str:
-    """Name a task as a reader does: "plate_tilt with friction"."""
+    """Return a readable name of a task: "plate_tilt with friction"."""
     parts = (" with ".join(one) if isinstance(one, tuple) else str(one) for one in arguments)
     return ", ".join(part for part in parts if part)

@@ -1,4 +1,4 @@
-"""The verdict in words for somebody who knows the images and not the statistics."""
+"""The verdict in words, for readers who know the images but not the statistics."""
 
 import math
 from collections.abc import Sequence
@@ -16,22 +16,22 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.mechanics.readings import ShownMagnitude
 
 MOST_DIGITS = 4
-# Bayes factors beyond this are not told apart by a reader.
+# Bayes factors beyond this are shown as a bound.
 MOST_FACTOR = 1000
-# A gap below this, and below this part of the noise, is as good as none.
+# A gap below this length and this fraction of the noise counts as none.
 NOTHING_MM, NOTHING_OF_NOISE = 0.005, 0.1
-# The smallest upper limit of a gap that is printed; where noise is smaller, its size.
+# The smallest printed upper limit of a gap; the noise level if that is smaller.
 LEAST_MM = 0.01
 ADD_UP = (
-    "Causes can act together, and each probability counts every combination that the cause is "
-    "part of, so they may add up to more than 100 %."
+    "Causes can act together, and each probability counts every combination that includes the "
+    "cause, so they may add up to more than 100 %."
 )
 NOT_EFFECTS = {"no-gap": "no gap", "none-of-these": "none of these"}
-DOUBTS = {"no-gap": "mere noise", "none-of-these": "something that is not listed"}
+DOUBTS = {"no-gap": "noise alone", "none-of-these": "an unlisted cause"}
 
 
 def spoken(name: str) -> str:
-    """Return an effect, or "no-gap" and "none-of-these", as a reader calls it.
+    """Return the readable name of an effect, of "no-gap" or of "none-of-these".
 
     Examples
     --------
@@ -42,7 +42,7 @@ def spoken(name: str) -> str:
 
 
 def bayes_factor(log: float) -> str:
-    """Return how many times more probable an effect makes the scans than none does.
+    """Return the Bayes factor of an effect against no effect, as text.
 
     Examples
     --------
@@ -56,7 +56,7 @@ def bayes_factor(log: float) -> str:
 
 
 def together(names: Sequence[str]) -> str:
-    """Return several effects in a sentence.
+    """Return a list of effects as text.
 
     Examples
     --------
@@ -78,7 +78,7 @@ def listed(items: Sequence[str]) -> str:
 
 
 def likely(probability: float) -> str:
-    """Return a probability; ends are not rounded to certainty.
+    """Return a probability as text, never rounded to 0 or 100 %.
 
     Examples
     --------
@@ -91,7 +91,7 @@ def likely(probability: float) -> str:
 
 
 def measured(value: float | None, sd: float | None, unit: str) -> str:
-    """Return a magnitude with its standard deviation.
+    """Return a magnitude with its standard deviation as text.
 
     Examples
     --------
@@ -107,7 +107,7 @@ def measured(value: float | None, sd: float | None, unit: str) -> str:
 
 
 def magnitude(one: ParameterEstimate | EffectSummary) -> str:
-    """Return a magnitude as a reader thinks of it, with its 90 % interval and the model's value.
+    """Return a magnitude as text, with its 90 % interval and the model's value.
 
     Examples
     --------
@@ -124,7 +124,7 @@ def magnitude(one: ParameterEstimate | EffectSummary) -> str:
 
 
 def _shown(one: ShownMagnitude) -> list[str]:
-    """Return a value with its unit, its interval and the value of the model."""
+    """Return a value with its unit, its interval and the model's value."""
     digits = _digits((one.high - one.low) / 3, figures=1)
 
     def text(value: float) -> str:
@@ -137,7 +137,7 @@ def _shown(one: ShownMagnitude) -> list[str]:
 
 
 def difference(value: float, sd: float) -> str:
-    """Return a number with its sign, as exact as its standard deviation.
+    """Return a signed number, rounded according to its standard deviation.
 
     Examples
     --------
@@ -151,12 +151,12 @@ def difference(value: float, sd: float) -> str:
 
 
 def _digits(sd: float, figures: int = 2) -> int:
-    """Return the decimals that show so many figures of a standard deviation."""
+    """Return the decimals that show the given significant digits of a standard deviation."""
     return max(0, figures - 1 - math.floor(math.log10(sd))) if sd > 0 else 3
 
 
 def signed(value: float, digits: int, plus: str = "") -> str:
-    """Return a number with a real minus, and none before a zero; `plus` is "+" to have that too.
+    """Return a number with a typographic minus, not before zero; `plus` "+" adds a plus sign.
 
     Examples
     --------
@@ -173,7 +173,7 @@ class Interval(Protocol):
 
     @property
     def gap_mm(self) -> float:
-        """In the middle."""
+        """Central value."""
 
     @property
     def low_mm(self) -> float:
@@ -185,7 +185,7 @@ class Interval(Protocol):
 
 
 def millimetres(gap: Interval | None) -> str:
-    """Write a gap with its interval.
+    """Return a gap with its interval as text.
 
     Examples
     --------
@@ -199,9 +199,9 @@ def millimetres(gap: Interval | None) -> str:
 
 
 def length(mm: float, beside: float | None = None) -> str:
-    """Return a length in mm to a hundredth.
+    """Return a length in mm with two decimals.
 
-    With two figures where it, or the length next to it, is smaller than that.
+    If it or the length next to it is smaller than that, with two significant digits.
 
     Examples
     --------
@@ -213,27 +213,30 @@ def length(mm: float, beside: float | None = None) -> str:
 
 
 def decimals(mm: float) -> int:
-    """Return how many digits behind the point show a hundredth, or two figures of what is less."""
+    """Return the number of decimals: two, or two significant digits of a smaller length."""
     return _digits(mm) if 0 < mm < LEAST_MM else 2
 
 
 def sentence(summary: Summary) -> str:
-    """Say the verdict in a sentence or two, what may hide, and what is wrong with the noise."""
+    """Return the verdict with notes on absorbed effects and on the noise."""
     return " ".join(filter(None, (headline(summary), noise(summary))))
 
 
 def headline(summary: Summary) -> str:
-    """Say the verdict in a sentence or two, and what may hide."""
+    """Return the verdict in one or two sentences, with a note on absorbed effects."""
     return " ".join(filter(None, (*summary.doubts, _verdict(summary), hidden(summary))))
 
 
 def hidden(summary: Summary) -> str:
-    """Say which effects scans speak for with certainty, though the constants all but hide them."""
+    """Return a note on effects that scans support though constants almost mimic them."""
     sure = [n for n in summary.absorbed if _is_sure(summary, n)]
     if not sure:
         return ""
     each = listed([_magnitude(summary, name) for name in sure])
-    return f"The scans speak for {each}, which other constants all but hide: check it otherwise."
+    return (
+        f"The scans support {each}, but the fitted constants can almost mimic it; confirm it with "
+        "an independent measurement."
+    )
 
 
 def _is_sure(summary: Summary, name: str) -> bool:
@@ -241,7 +244,7 @@ def _is_sure(summary: Summary, name: str) -> bool:
 
 
 def noise(summary: Summary) -> str:
-    """Say whether noise is stated too small or too large, or uneven; nothing if it is not."""
+    """Return a note on noise stated too small or too large, or uneven; empty if neither."""
     said = []
     for one in summary.noise or ():
         ratio = one.learnt_mm / one.stated_mm if one.stated_mm > 0 else 1.0
@@ -249,13 +252,13 @@ def noise(summary: Summary) -> str:
             wrong = "small" if ratio > 1 else "large"
             said.append(
                 f"The noise of the {one.interface} interface is stated too {wrong}: "
-                f"{one.stated_mm:.2f} mm, where its residuals show {one.learnt_mm:.2f} mm."
+                f"{one.stated_mm:.2f} mm, but its residuals show {one.learnt_mm:.2f} mm."
             )
         least, most = one.least_mm or one.learnt_mm, one.most_mm or one.learnt_mm
         if most > SETTINGS.noise.uneven_ratio * least:
             said.append(
-                f"The {one.interface} interface is drawn less exactly in one part of the body than "
-                f"in another: with {least:.2f} to {most:.2f} mm of noise."
+                f"The {one.interface} interface is segmented less accurately in one part of the "
+                f"body than in another: its noise is {least:.2f} to {most:.2f} mm."
             )
     return " ".join(said)
 
@@ -265,29 +268,26 @@ def _verdict(summary: Summary) -> str:
     names = summary.primary
     if summary.verdict == "no-gap":
         most = gap.before.high_mm
-        agree = "Model and data agree: what is left between them is no more than noise."
+        agree = "Model and data agree: the residual is no larger than the noise."
         if summary.doubts:
             agree = "The residual is no larger than the noise, which does not make the fit right."
         return f"{agree} A gap larger than {length(max(most, least_length(gap)))} mm is unlikely."
     differ = f"Model and data differ by {millimetres(gap.before)} beyond the noise"
     if _is_nothing(gap.before, gap):
-        differ = "Model and data differ by less than the noise, but not at random"
+        differ = "The residual is below the noise level but systematic"
     if summary.verdict == "none-of-these":
-        return (
-            f"{differ}, and no effect of the catalogue explains it: the cause is something that "
-            "is not listed."
-        )
+        return f"{differ}, and no effect in the catalogue explains it: the cause is not listed."
     if summary.verdict == "cannot-be-told-apart":
         choice = [name for name in summary.set90 if name not in NOT_EFFECTS]
         if len(choice) == 1:
             others = [DOUBTS[name] for name in summary.set90 if name in DOUBTS]
             return (
-                f"{differ}. The cause may be {_cause(summary)}; but {' or '.join(others)} is not "
+                f"{differ}. The cause may be {_cause(summary)}, but {' or '.join(others)} is not "
                 f"ruled out. {_left(gap)}"
             ).rstrip()
         return (
-            f"{differ}. These scans cannot tell which of {together(choice)} is the cause; "
-            f"{together(names)} comes first. {_left(gap)}"
+            f"{differ}. These scans cannot decide which of {together(choice)} is the cause; "
+            f"{together(names)} is most probable. {_left(gap)}"
         ).rstrip()
     return f"{differ}. The cause is {_cause(summary)}. {_left(gap)}".rstrip()
 
@@ -306,19 +306,19 @@ def _magnitude(summary: Summary, name: str) -> str:
 
 
 def _left(gap: GapSummary) -> str:
-    """Say what the effect leaves, judged where it was not fitted if there is such a scan."""
+    """Return the gap left by the effect, on held-out scans if there are any."""
     if gap.held_out_after is not None and gap.held_out_before is not None:
         before = gap.held_out_before
         of = "" if _is_nothing(before, gap) else f" of {length(before.gap_mm)} mm"
         rest = _rest(gap.held_out_after, gap)
-        return f"On scans that it was not fitted to, it leaves {rest}{of}."
-    where = ", in the scans that it was fitted to" if gap.not_judged else ""
+        return f"On scans not used in the fit, it leaves {rest}{of}."
+    where = ", on the scans used in the fit" if gap.not_judged else ""
     return "" if gap.after is None else f"It leaves {_rest(gap.after, gap)}{where}."
 
 
 def _rest(left: GapEstimate, gap: GapSummary) -> str:
     if _is_nothing(left, gap):
-        return f"nothing that stands out of the noise (at most {length(left.high_mm)} mm)"
+        return f"nothing above the noise (at most {length(left.high_mm)} mm)"
     return millimetres(left)
 
 
@@ -327,5 +327,5 @@ def _is_nothing(one: GapEstimate, gap: GapSummary) -> bool:
 
 
 def least_length(gap: GapSummary) -> float:
-    """Return the smallest length in mm that is said to be known."""
+    """Return the smallest upper limit of a gap to report, in mm."""
     return min(LEAST_MM, gap.noise_floor)

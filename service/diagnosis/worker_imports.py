@@ -1,7 +1,7 @@
-"""What every worker of a diagnosis does before its first task; see `service.cluster.fork_server`.
+"""Imports of diagnosis workers before their first task; see `service.cluster.fork_server`.
 
-Imports take 1.2 s, the digest of their code 0.2 s, and the first kernel, whichever it is, 0.25 s:
-with it numba sets up its compiler.
+Imports take 1.2 s, the digest of their code 0.2 s, and the first kernel of any
+kind 0.25 s, when numba sets up its compiler.
 """
 
 import numpy as np

@@ -45,6 +45,6 @@ def check_suffix(path: Path | None, known: tuple[str, ...], option: str = "--out
             f"{option}{path}: {suffix or 'no suffix'} is not known, use one of {', '.join(known)}."
         )
     if not path.parent.is_dir():
-        raise InputError(f"{option}{path}: the folder {path.parent} does not exist, make it first.")
+        raise InputError(f"{option}{path}: the folder {path.parent} does not exist; create it.")
     if path.is_dir():
         raise InputError(f"{option}{path} is a folder: give the name of a file.")

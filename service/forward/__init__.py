@@ -1,1 +1,1 @@
-"""One simulation at a time, as arrays."""
+"""Single simulations as arrays."""

@@ -1,4 +1,4 @@
-"""A case from flat keys, such as ``nodes=2000, force_n=50, E_fat_kpa=8``, checked as in a file."""
+"""Cases from flat keys, such as ``nodes=2000, force_n=50, E_fat_kpa=8``, checked as in a file."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,19 +10,20 @@ from palpate.workers.spec import CaseSpec, Door, validated
 
 
 def case_from_keys(organ: str, keys: Mapping[str, Any]) -> CaseSpec:
-    """Return the case that flat keys describe.
+    """Return the case described by flat keys.
 
     Parameters
     ----------
     organ : str
     keys : mapping
-        Sections of a case (``mesh``), keys of its sections (``nodes``, ``force_n``), and constants
-        that are held (``E_fat_kpa``). Keys that are left out have the defaults of a study file.
+        Sections of a case (``mesh``), keys of its sections (``nodes``, ``force_n``), and held
+        constants (``E_fat_kpa``). Missing keys have the defaults of a study file.
 
     Raises
     ------
     InputError
-        Naming every key that makes no sense, with what was expected or the nearest known key.
+        If a key is not valid; the message names each one, with the expected value or the
+        nearest known key.
 
     Examples
     --------
@@ -53,7 +54,7 @@ def case_from_keys(organ: str, keys: Mapping[str, Any]) -> CaseSpec:
 
 
 def stated_constants(case: CaseSpec, given: Mapping[str, float]) -> dict[str, float]:
-    """Return constants by their names and in their units inside.
+    """Return constants with internal names and units.
 
     Raises
     ------
@@ -70,12 +71,12 @@ def stated_constants(case: CaseSpec, given: Mapping[str, float]) -> dict[str, fl
 
 
 def stated_in(vocabulary: Vocabulary, given: Mapping[str, float]) -> dict[str, float]:
-    """Return constants of a vocabulary by their names and in their units inside.
+    """Return constants of a vocabulary with internal names and units.
 
     Raises
     ------
     InputError
-        If a name is unknown, or a value is no number or not admissible.
+        If a name is unknown, or a value is not a number or not admissible.
     """
     return vocabulary.from_door({name: _as_number(name, value) for name, value in given.items()})
 
@@ -86,7 +87,7 @@ def _as_number(name: str, value: Any) -> float:
     Raises
     ------
     InputError
-        If it is no number.
+        If it is not a number.
     """
     try:
         return float(value)

@@ -1,4 +1,4 @@
-"""The derivative of a displacement by a constant of the model."""
+"""The derivative of a displacement with respect to a constant of the model."""
 
 from collections.abc import Callable
 
@@ -9,9 +9,9 @@ from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilib
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.parameters import Parameter
 
-# Difference of a constant: of its value, or of its interval where it can be zero.
+# Relative step of a constant: of its value, or of its interval if it can be zero.
 STEP = 1e-4
-# The same for a constant on whose path the solution depends: friction saturates quickly.
+# The same for a constant with path-dependent solutions: friction saturates quickly.
 PATH_STEP = 0.02
 
 
@@ -23,24 +23,24 @@ def displacement_gradient(
     *,
     follows_path: bool = False,
 ) -> FloatArray:
-    """Differentiate the displacement of an equilibrium by one constant.
+    """Differentiate the displacement of an equilibrium with respect to one constant.
 
     Parameters
     ----------
     at : Equilibrium
     problem_at : callable
-        From a value of the constant, inside units, to the problem.
+        Maps a value of the constant, in internal units, to the problem.
     parameter : Parameter
     value : float
-        Of the constant at the equilibrium, inside units.
+        The constant at the equilibrium, in internal units.
     follows_path : bool
-        Whether the solution depends on the path of the load through this constant, as it does on
-        friction. It is then solved again on both sides; otherwise a linear solve is enough.
+        Whether this constant, like friction, makes the solution depend on the load path. If so,
+        it is solved again on both sides; otherwise a linear solve is enough.
 
     Returns
     -------
     ndarray, shape (n, 3)
-        In mm per unit of the constant as it is stated, such as mm per kPa.
+        Derivative in mm per unit of the constant in study files, such as mm per kPa.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def displacement_gradient(
 
 
 def either_side(parameter: Parameter, value: float, step: float) -> tuple[float, float]:
-    """Return admissible values above and below another one; itself where nothing is beyond.
+    """Return admissible values above and below another one, or itself at a bound.
 
     Examples
     --------
@@ -81,7 +81,7 @@ def _displacement(at: Equilibrium, problem: Problem, parameter: Parameter) -> Fl
     solution = equilibrium(at.imaged, problem, at).solution
     if not solution.outcome.converged:
         raise InputError(
-            f"There is no derivative by {parameter.door_name}: a simulation next to this one "
+            f"There is no derivative with respect to {parameter.door_name}: a nearby simulation "
             f"diverged: {solution.outcome.reason}."
         )
     return solution.displacement_mm

@@ -1,4 +1,4 @@
-"""A body of an organ that is simulated in this process, or by a client's workers."""
+"""A body of an organ, simulated in this process or by a client's workers."""
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
@@ -32,13 +32,13 @@ class OrganModel:
     ----------
     case : CaseSpec
     given : object, optional
-        The body itself, where ``case.reference`` only says how its labels are read. Default: the
-        body that the case describes.
+        The body itself, if ``case.reference`` only describes its labels. Default: the body
+        that the case describes.
 
     Raises
     ------
     InputError
-        If there is no such body.
+        If the body does not exist.
     """
 
     def __init__(self, case: Any, given: Volume | None = None) -> None:
@@ -58,7 +58,7 @@ class OrganModel:
         Raises
         ------
         InputError
-            With every reason, if it is not.
+            If it is not; the message has every reason.
         """
         imaged = self._given is not None or self.organ.body_files(self.case.reference)
         found = case_findings(self.case, self.body if imaged else None)
@@ -66,7 +66,7 @@ class OrganModel:
 
     @cached_property
     def mesh(self) -> Any:
-        """The mesh, made when it is first needed."""
+        """The mesh, generated on first use."""
         mesh = self.organ.make_mesh(self.body, self.case)
         if isinstance(self.organ, CheckingOrgan):
             self.organ.check(self.case, self.body, self.organ.facts(self.body, mesh))
@@ -79,11 +79,11 @@ class OrganModel:
 
     @cached_property
     def landmarks(self) -> Any:
-        """What the load must know of the place of the body."""
+        """The landmarks of the body that the load needs."""
         return self.organ.landmarks(self.body, self.case)
 
     def problem(self, constants: Mapping[str, float]) -> Any:
-        """Return the problem of all constants, inside names and units."""
+        """Return the problem for all constants, in internal names and units."""
         return self.organ.problem(self.model, self.case, constants, self.landmarks)
 
     def simulate(self, constants: Mapping[str, float]) -> Simulation:
@@ -92,7 +92,7 @@ class OrganModel:
         Parameters
         ----------
         constants : mapping of str to float
-            Names and units of a study file.
+            Constants with the names and units of a study file.
 
         Raises
         ------
@@ -105,7 +105,7 @@ class OrganModel:
     def simulate_on(
         self, client: Client, constants: Mapping[str, float], place: Location
     ) -> Simulation:
-        """Load the body on a worker, which finds it in a store; see `simulate` and `solve_on`."""
+        """Load the body on a worker, which reads it from a store; see `simulate` and `solve_on`."""
         displacement_mm, result = self.solve_on(client, constants, place)
         stated = stated_constants(self.case, constants)
         return self._meshed.result(stated, displacement_mm, result["outcome"])
@@ -113,7 +113,7 @@ class OrganModel:
     def solve_on(
         self, client: Client, constants: Mapping[str, float], place: Location
     ) -> tuple[FloatArray, EvaluationResult]:
-        """Return the displacement of a simulation by a worker and its record; the mesh is ours.
+        """Return the displacement computed by a worker for this mesh, and its record.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class OrganModel:
     @cached_property
     def _meshed(self) -> MeshedBody:
         if not isinstance(self.model, Model):
-            raise InputError(f"A {self.case.organ} is no body of tetrahedra.")
+            raise InputError(f"A {self.case.organ} is not a body of tetrahedra.")
         effects = catalogue_of(self.case.organ).effects
         return MeshedBody(
             model=self.model,

@@ -26,9 +26,9 @@ class LoadedSheet:
     vocabulary : Vocabulary
         The constants of the model.
     complete : callable
-        From stated constants to all of them, inside names and units.
+        Maps stated constants to all of them, in internal names and units.
     problem : callable
-        From all constants to the problem.
+        Maps all constants to the problem.
     """
 
     model: SheetModel
@@ -37,16 +37,16 @@ class LoadedSheet:
     problem: Callable[[Mapping[str, float]], Problem]
 
     def solved(self, stated: Mapping[str, float]) -> SheetEquilibrium:
-        """Return the equilibrium under stated constants."""
+        """Return the equilibrium for stated constants."""
         return equilibrium(self.model, self.problem(self.complete(stated)))
 
     def simulate(self, stated: Mapping[str, float]) -> "SheetSimulation":
-        """Load the sheet; not to converge is an ordinary outcome.
+        """Load the sheet; failure to converge is an ordinary outcome.
 
         Parameters
         ----------
         stated : mapping of str to float
-            Constants inside names and units.
+            Constants with internal names and units.
         """
         at = self.solved(stated)
         found = at.solution
@@ -59,7 +59,7 @@ class LoadedSheet:
         outcome: Mapping[str, Any],
         at: SheetEquilibrium | None = None,
     ) -> "SheetSimulation":
-        """Return the result of a simulation whose displacement is known, shape (n, 3)."""
+        """Return the result of a simulation with a known displacement, shape (n, 3)."""
         return SheetSimulation(
             constants=self.vocabulary.to_door(self.complete(stated)),
             converged=bool(outcome["converged"]),
@@ -91,9 +91,9 @@ class SheetSimulation:
         Three corners and the middles of the edges 01, 12 and 20.
     displacement_mm : ndarray, shape (n, 3)
     outcome : mapping of str to object
-        Iterations and other figures of the solver, units in their names.
+        Iterations and other figures of the solver, with units in their names.
     sheet, stated, known
-        The model, the stated constants inside, and the state of the solver.
+        The model, the stated constants in internal units, and the state of the solver.
     """
 
     constants: Mapping[str, float]
@@ -125,26 +125,26 @@ class SheetSimulation:
 
     @property
     def reaction_n(self) -> FloatArray:
-        """Forces in N that hold the held nodes in place, shape (n, 3)."""
+        """Reaction forces in N at the held nodes, shape (n, 3)."""
         return self.equilibrium.reactions
 
     def gradient(self, name: str) -> FloatArray:
-        """Differentiate the displacement by a constant.
+        """Differentiate the displacement with respect to a constant.
 
         Parameters
         ----------
         name : str
-            As in an experiment, such as ``"E_kpa"``.
+            Name in an experiment, such as ``"E_kpa"``.
 
         Returns
         -------
         ndarray, shape (n, 3)
-            In mm per unit of the constant, such as mm per kPa.
+            Derivative in mm per unit of the constant, such as mm per kPa.
 
         Raises
         ------
         InputError
-            If there is no such constant, or the simulation did not converge.
+            If the constant is unknown, or the simulation did not converge.
         """
         parameter = self.sheet.vocabulary.at_door(name)
         values = self.sheet.complete(self.stated)
@@ -167,5 +167,5 @@ class SheetSimulation:
 
     @cached_property
     def equilibrium(self) -> SheetEquilibrium:
-        """The state of the solver; solved once more where the simulation ran elsewhere."""
+        """The state of the solver; solved again if the simulation ran elsewhere."""
         return self.known or self.sheet.solved(self.stated)

@@ -36,14 +36,14 @@ class MeshedBody:
     vocabulary : Vocabulary
         The constants of the model.
     complete : callable
-        From stated constants to all of them, inside names and units.
+        Maps stated constants to all of them, in internal names and units.
     problem : callable
-        From all constants to the problem.
+        Maps all constants to the problem.
     path_dependent : frozenset of str
-        Constants on which the solution depends through the path of the load.
+        Constants that make the solution depend on the load path.
     deform : callable or None
-        From a displacement, shape (n, 3), to the deformed body in voxels; None where a body has
-        none.
+        Maps a displacement, shape (n, 3), to the deformed body in voxels; None if the body has
+        no voxels.
     """
 
     model: Model
@@ -54,12 +54,12 @@ class MeshedBody:
     deform: Callable[[FloatArray], Volume] | None = None
 
     def simulate(self, stated: Mapping[str, float]) -> "Simulation":
-        """Load the body; not to converge is an ordinary outcome.
+        """Load the body; failure to converge is an ordinary outcome.
 
         Parameters
         ----------
         stated : mapping of str to float
-            Constants inside names and units; those left out take the values of `complete`.
+            Constants with internal names and units; missing ones take the values of `complete`.
         """
         solved = equilibrium(self.model, self.problem(self.complete(stated)))
         found = solved.solution
@@ -72,7 +72,7 @@ class MeshedBody:
         outcome: Mapping[str, Any],
         solved: Equilibrium | None = None,
     ) -> "Simulation":
-        """Return the result of a simulation whose displacement is known, shape (n, 3)."""
+        """Return the result of a simulation with a known displacement, shape (n, 3)."""
         values = self.complete(stated)
         finest = self.model.finest
         return Simulation(
@@ -94,8 +94,8 @@ class MeshedBody:
 class Simulation:
     """One simulation of a body of n nodes and m linear tetrahedra.
 
-    A simulation that does not converge is an ordinary result: `converged` is False, `reason` says
-    why, and the arrays are those of the last state reached. Strain and stress refer to the
+    A simulation that does not converge is an ordinary result: `converged` is False, `reason`
+    explains it, and the arrays describe the last state reached. Strain and stress refer to the
     stress-free shape, which is `nodes_mm` unless gravity acts in the image.
 
     Parameters
@@ -113,9 +113,9 @@ class Simulation:
         `Tissue` of each element.
     displacement_mm : ndarray, shape (n, 3)
     outcome : mapping of str to object
-        Iterations, residual, contact area and other figures of the solver, units in their names.
+        Iterations, residual, contact area and other figures of the solver; names contain units.
     body, stated, solved
-        The model, the stated constants inside, and the state of the solver.
+        The model, the stated constants in internal units, and the state of the solver.
     """
 
     constants: Mapping[str, float]
@@ -176,12 +176,12 @@ class Simulation:
 
     @property
     def plate_travel_mm(self) -> float:
-        """How far the plates have closed since they touched the body, in mm."""
+        """Closure of the plates since they touched the body, in mm."""
         return float(self.outcome["plate_displacement_mm"])
 
     @property
     def reaction_n(self) -> FloatArray:
-        """Forces in N that hold the nodes which a wall or a hold keeps in place, shape (n, 3)."""
+        """Reaction forces in N at nodes held by a wall or a hold, shape (n, 3)."""
         return reactions(self.equilibrium)
 
     @cached_property
@@ -200,25 +200,25 @@ class Simulation:
         return self.body.deform(self.displacement_mm)
 
     def gradient(self, name: str) -> FloatArray:
-        """Differentiate the displacement by a constant.
+        """Differentiate the displacement with respect to a constant.
 
-        A constant that follows this one where it is not stated, as ``E_muscle_kpa`` follows
+        A constant that follows this one unless it is stated, as ``E_muscle_kpa`` follows
         ``E_fat_kpa``, changes with it. With friction, the slip of earlier load steps is held.
 
         Parameters
         ----------
         name : str
-            As in a study file, such as ``"E_fat_kpa"``.
+            Name in a study file, such as ``"E_fat_kpa"``.
 
         Returns
         -------
         ndarray, shape (n, 3)
-            In mm per unit of the constant, such as mm per kPa.
+            Derivative in mm per unit of the constant, such as mm per kPa.
 
         Raises
         ------
         InputError
-            If there is no such constant, or the simulation did not converge.
+            If the constant is unknown, or the simulation did not converge.
         """
         parameter = self.body.vocabulary.at_door(name)
 
@@ -237,7 +237,7 @@ class Simulation:
     def to_meshio(self) -> meshio.Mesh:
         """Return the deformed mesh with displacement, stress and strain as a `meshio.Mesh`.
 
-        The values are those of a ``.vtu`` file that ``palpate export`` writes.
+        It has the same values as a ``.vtu`` file of ``palpate export``.
         """
         data = self._mesh_data
         return meshio.Mesh(
@@ -253,7 +253,7 @@ class Simulation:
         Raises
         ------
         InputError
-            If the suffix is not known.
+            If the suffix is not supported.
         StoreError
             If the file system refuses.
         """
@@ -279,7 +279,7 @@ class Simulation:
 
     @cached_property
     def equilibrium(self) -> Equilibrium:
-        """The state of the solver; solved once more where the simulation ran elsewhere."""
+        """The state of the solver; solved again if the simulation ran elsewhere."""
         if self.solved is not None:
             return self.solved
         return equilibrium(self.body.model, self.body.problem(self.body.complete(self.stated)))

@@ -1,6 +1,6 @@
-"""A typed client of the HTTP API; `palpate.connect` stands on it.
+"""A typed client of the HTTP API; the basis of `palpate.connect`.
 
-Every call raises a `PalpateError` with the words of the service when it is refused.
+A refused call raises a `PalpateError` with the message of the service.
 """
 
 import json
@@ -39,17 +39,17 @@ REFUSALS: dict[int, type[InputError] | type[StoreError]] = {409: StoreError, 413
 
 @dataclass(frozen=True)
 class JobEvent:
-    """One event of a job that is followed.
+    """One event of a followed job.
 
     Parameters
     ----------
     kind : {"job", "record", "end"}
     job : JobView or None
-        As it is now, where `kind` is job.
+        The current state, if `kind` is job.
     record : dict
-        Of the job's journal, where `kind` is record.
+        A record of the job's journal, if `kind` is record.
     position : int
-        Where the journal goes on; `Client.follow` continues from there.
+        Offset of the next record; `Client.follow` continues from there.
     """
 
     kind: str
@@ -66,9 +66,9 @@ class Client:
     url : str
         Such as ``"http://127.0.0.1:8780"``.
     token : str, optional
-        Default: the variable PALPATE_TOKEN. Without one reading alone is allowed.
+        Default: the variable PALPATE_TOKEN. Without a token, access is read-only.
     patience_s : float
-        How long a service that does not answer is asked again; it may be restarting.
+        Time to keep retrying a service that does not answer; it may be restarting.
     """
 
     def __init__(self, url: str, token: str | None = None, *, patience_s: float = 60.0) -> None:
@@ -82,7 +82,7 @@ class Client:
             )
         except (ValueError, httpx.InvalidURL) as error:
             raise InputError(
-                f"{url!r} is no address of a service: expected such as http://127.0.0.1:8780."
+                f"{url!r} is not an address of a service: expected e.g. http://127.0.0.1:8780."
             ) from error
 
     def close(self) -> None:
@@ -98,11 +98,11 @@ class Client:
     # The service
 
     def health(self) -> Health:
-        """Return whether the service is up."""
+        """Return the state of the service."""
         return self._get(Health, "/health")
 
     def cluster(self) -> ClusterView:
-        """Return what the cluster can do and does."""
+        """Return the capacity and load of the cluster."""
         return self._get(ClusterView, "/cluster")
 
     # Jobs
@@ -116,12 +116,12 @@ class Client:
         accept_new_code: bool = False,
         anyway: bool = False,
     ) -> JobView:
-        """Queue a study; the text of its file, or its keys.
+        """Queue a study, given as the text of its file or its keys.
 
         Raises
         ------
         InputError
-            If it makes no sense.
+            If it is not valid.
         """
         given = study if isinstance(study, str) else dict(study)
         body = {"study": given, "priority": priority, "key": key}
@@ -145,7 +145,7 @@ class Client:
         return self._send(JobView, "/diagnoses", body | {"priority": priority, "key": key})
 
     def jobs(self, **filters: str) -> list[JobView]:
-        """Return all jobs, the last submitted first; filters: ``kind``, ``state``."""
+        """Return all jobs, newest first; filters: ``kind``, ``state``."""
         found: list[JobView] = []
         before: dict[str, Any] = {}
         while True:
@@ -156,31 +156,31 @@ class Client:
             before = {"before": page.more}
 
     def job(self, identifier: str) -> JobView:
-        """Return a job as it is now."""
+        """Return the current state of a job."""
         return self._get(JobView, f"/jobs/{identifier}")
 
     def change(self, identifier: str, action: str) -> JobView:
-        """Do one of pause, resume and cancel."""
+        """Pause, resume or cancel a job."""
         return self._send(JobView, f"/jobs/{identifier}/{action}", None)
 
     def prioritise(self, identifier: str, priority: int) -> JobView:
-        """Give a job another priority."""
+        """Change the priority of a job."""
         answer = self._request("PATCH", f"/jobs/{identifier}", json={"priority": priority})
         return JobView.model_validate_json(answer.content)
 
     def results(self, identifier: str) -> dict[str, Any]:
-        """Return what a job has found, as `palpate report --json` prints it."""
+        """Return the results of a job, as printed by `palpate report --json`."""
         found: dict[str, Any] = self._request("GET", f"/jobs/{identifier}/results").json()
         return found
 
     def candidate(self, identifier: str, number: int) -> dict[str, Any]:
-        """Return all that is known of one candidate of a study."""
+        """Return the full record of one candidate of a study."""
         path = f"/jobs/{identifier}/candidates/{number}"
         found: dict[str, Any] = self._request("GET", path).json()
         return found
 
     def journal(self, identifier: str, since: int = 0) -> Iterator[dict[str, Any]]:
-        """Yield the records of a job's journal that are there now."""
+        """Yield the current records of a job's journal."""
         while True:
             page = self._get(JournalPage, f"/jobs/{identifier}/journal", since=since)
             if not page.records:
@@ -189,7 +189,7 @@ class Client:
             since = page.since
 
     def follow(self, identifier: str, since: int = 0) -> Iterator[JobEvent]:
-        """Yield the events of a job until it has ended; a service that restarts is waited for.
+        """Yield the events of a job until it ends, waiting for the service if it restarts.
 
         Raises
         ------
@@ -235,7 +235,7 @@ class Client:
     # Uploads
 
     def upload(self, path: Path, folder: str, name: str | None = None) -> UploadView:
-        """Upload a file as FOLDER/NAME; the same file again does no harm.
+        """Upload a file as FOLDER/NAME; repeating an upload is harmless.
 
         Raises
         ------
@@ -260,7 +260,7 @@ class Client:
         return self._get(UploadList, "/uploads").uploads
 
     def remove_uploads(self, folder: str) -> None:
-        """Remove a folder of uploads that no unfinished job needs."""
+        """Remove a folder of uploads; no unfinished job may need it."""
         self._request("DELETE", f"/uploads/{folder}")
 
     def _events(self, identifier: str, since: int) -> Iterator[JobEvent]:
@@ -290,7 +290,7 @@ class Client:
         return kind.model_validate_json(self._request("POST", path, json=body).content)
 
     def _request(self, method: str, path: str, **more: Any) -> httpx.Response:
-        """Ask; ask again where the question cannot do harm twice and nobody answers."""
+        """Send a request; retry one that is safe to repeat if there is no answer."""
         until = time.monotonic() + self.patience_s
         while True:
             try:
@@ -315,11 +315,11 @@ class Client:
         with suppress(ValueError, KeyError, TypeError):
             reason = str(answer.json()["error"])
         if answer.status_code >= 500:
-            raise ClusterError(f"The service at {self.url} cannot do that now: {reason}")
+            raise ClusterError(f"The service at {self.url} cannot do this now: {reason}")
         raise REFUSALS.get(answer.status_code, InputError)(reason)
 
     def _gone(self) -> ClusterError:
         return ClusterError(
             f"The service at {self.url} does not answer. Start it with `palpate serve`, or check "
-            "the address; what it has computed is kept."
+            "the address; completed work is saved."
         )

@@ -1,4 +1,4 @@
-"""Brings the images of a study to the service before the study: the client's side."""
+"""Upload of a study's images by the client, before the study is submitted."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,14 +17,14 @@ IMAGE_KEYS = ("volume", "file", "labels")
 def with_uploaded_images(
     client: Client, study: str | Path | Mapping[str, Any] | StudySpec
 ) -> dict[str, Any]:
-    """Return the keys of a study, its local images uploaded and named as the service does.
+    """Upload the local images of a study; return its keys with the names of the uploads.
 
     A folder of uploads is named after the content of the image.
 
     Raises
     ------
     InputError
-        If the study makes no sense, or an image cannot be read.
+        If the study is not valid, or an image cannot be read.
     """
     if isinstance(study, Mapping):
         study = validated(StudySpec, study, "The study")
@@ -50,7 +50,7 @@ def _uploaded(client: Client, path: Path) -> str:
         return f"{folder}/{path.name}"
     files = sorted(p for p in path.iterdir() if p.is_file() and not p.name.startswith("."))
     if not files:
-        raise InputError(f"{path} holds no images.")
+        raise InputError(f"{path} has no images.")
     for file in files:
         client.upload(file, folder)
     return folder

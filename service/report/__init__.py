@@ -1,1 +1,1 @@
-"""Writes self-contained pages about studies, diagnoses and plans."""
+"""Self-contained pages about studies, diagnoses and plans."""

@@ -1,4 +1,4 @@
-"""HTML of studies, results, diagnoses and volumes, as notebooks show them."""
+"""HTML of studies, results, diagnoses and volumes for notebooks."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,7 @@ from palpate.service.results.record import StudyResults
 from palpate.service.study.spec import StudySpec
 from palpate.storage.values import Tissue, Volume
 
-# Of a thumbnail, in pixels and in voxels.
+# Size of a thumbnail, in pixels and in voxels.
 SIDE_PX, MOST_VOXELS = 150, 300
 MOST_CAUSES = 6
 _TISSUES = palette.lookup({int(t): c for t, c in palette.TISSUES.items()})
@@ -37,7 +37,7 @@ def spec_html(spec: StudySpec, about: str) -> Markup:
 
 
 def results_html(results: StudyResults) -> Markup:
-    """Return the estimates of a study with their intervals, and why some may not be quoted."""
+    """Return the estimates of a study with intervals, and reasons against quoting some."""
     rows = [
         (
             symbol(name, e.unit),
@@ -98,7 +98,7 @@ def volume_html(volume: Volume, about: str) -> Markup:
 
 
 def _drawable(volume: Volume) -> tuple[Volume, NDArray[np.uint8]]:
-    """Return a volume of bytes and the colours for them: of tissues, or greys."""
+    """Return a volume of bytes and their colours, of tissues or greys."""
     values = volume.values
     if values.dtype == np.uint8 and int(values.max(initial=0)) <= max(Tissue):
         return volume, _TISSUES

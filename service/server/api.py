@@ -1,6 +1,6 @@
-"""The records of the HTTP API: what the server sends and accepts, and what clients get.
+"""Request and response models of the HTTP API.
 
-Scores may be infinite; JSON knows no infinity, so they are the texts "-inf" and "inf" there.
+JSON has no infinity, so infinite scores are the strings "-inf" and "inf".
 """
 
 from typing import Annotated, Any, Literal
@@ -18,17 +18,17 @@ State = Literal["waiting", "running", "paused", "finished", "failed", "cancelled
 
 
 class Accepted(BaseModel):
-    """What a client sends: an unknown key is an error."""
+    """A request body; an unknown key is an error."""
 
     model_config = ConfigDict(extra="forbid")
 
 
 class StudySubmission(Accepted):
-    """A study to be run.
+    """A study to run.
 
-    ``study`` is the text of a study file or its keys; images are named FOLDER/FILE as they
-    were uploaded, or are volumes of the store. ``key``: a text of your own; submitting the
-    same key again gives the same job. ``anyway``: run although a plausibility check fails.
+    ``study`` is the text of a study file or its keys; images are uploads, named FOLDER/FILE,
+    or volumes of the store. ``key``: any text; submitting the same key again returns the same
+    job. ``anyway``: run even if a plausibility check fails.
     """
 
     study: str | dict[str, Any]
@@ -39,7 +39,7 @@ class StudySubmission(Accepted):
 
 
 class DiagnosisSource(Accepted):
-    """What is diagnosed: an upload (FOLDER, or FOLDER/FILE), or a study of this service."""
+    """The source of a diagnosis: an upload (FOLDER or FOLDER/FILE), or a study of this service."""
 
     upload: Annotated[str, Field(max_length=200)] | None = None
     study: Name | None = None
@@ -52,9 +52,9 @@ class DiagnosisSource(Accepted):
 
 
 class DiagnosisSubmission(Accepted):
-    """A case, a study or an experiment to be diagnosed; ``effects``: those suspected, or all.
+    """A case, a study or an experiment to diagnose; ``effects``: the suspected ones, or all.
 
-    ``anyway``: diagnose although a plausibility check fails.
+    ``anyway``: diagnose even if a plausibility check fails.
     """
 
     source: DiagnosisSource
@@ -66,25 +66,25 @@ class DiagnosisSubmission(Accepted):
 
 
 class PriorityChange(Accepted):
-    """Another priority of a job."""
+    """A new priority of a job."""
 
     priority: Priority
 
 
 class SignIn(Accepted):
-    """A token, exchanged for a cookie that only this site gets."""
+    """A token, exchanged for a cookie that is sent to this site only."""
 
     token: Annotated[str, Field(min_length=1, max_length=512)]
 
 
 class Problem(BaseModel):
-    """Why a request was refused, and what to do."""
+    """The reason for refusing a request, and what to do."""
 
     error: str
 
 
 class Evaluations(BaseModel):
-    """How many evaluations of a study have ended in which way."""
+    """Number of evaluations of a study by status."""
 
     done: int = 0
     diverged: int = 0
@@ -95,10 +95,10 @@ class Evaluations(BaseModel):
 
 
 class Best(BaseModel):
-    """The best candidate so far; genes in their units at the door.
+    """The best candidate so far; genes in the units of the study file.
 
     ``objective`` is the label of the score that the search optimises, ``value`` its value.
-    ``note`` says why it has not the lowest GSF, where that is so.
+    ``note`` explains why its GSF is not the lowest, if so.
     """
 
     candidate: int
@@ -110,7 +110,7 @@ class Best(BaseModel):
 
 
 class Phase(BaseModel):
-    """The step that a diagnosis is at: tasks that have ended, and all of them."""
+    """The current step of a diagnosis: completed tasks, and all tasks."""
 
     phase: str
     done: int
@@ -119,10 +119,10 @@ class Phase(BaseModel):
 
 
 class JobView(BaseModel):
-    """A study or a diagnosis, and how far it is.
+    """A study or a diagnosis, and its progress.
 
-    ``reason`` says why it has failed, ``note`` why it is not running although it waits.
-    ``journal_bytes`` is where its events go on; see /events.
+    ``reason`` explains a failure, ``note`` why a waiting job is not running. ``journal_bytes``
+    is the offset of its next event; see /events.
     """
 
     id: str
@@ -149,14 +149,14 @@ class JobView(BaseModel):
 
 
 class JobPage(BaseModel):
-    """Some jobs, the last submitted first; ``more`` is the ``before`` of the next page."""
+    """A page of jobs, newest first; ``more`` is the ``before`` of the next page."""
 
     jobs: list[JobView]
     more: int | None = None
 
 
 class JournalPage(BaseModel):
-    """Records of a journal; ``since`` of the next request."""
+    """Records of a journal, and the ``since`` of the next request."""
 
     records: list[dict[str, Any]]
     since: int
@@ -179,7 +179,7 @@ class UploadList(BaseModel):
 
 
 class WorkerView(BaseModel):
-    """One worker: what it runs and has waiting, its load and its memory; a limit of 0 is none."""
+    """One worker: running and waiting tasks, CPU load, memory and its limit (0: no limit)."""
 
     name: str
     address: str
@@ -192,7 +192,7 @@ class WorkerView(BaseModel):
 
 
 class ClusterView(BaseModel):
-    """The cluster: tasks it can run at once, those under way or queued, Dask's own page."""
+    """The cluster: tasks it can run at once, tasks running or queued, Dask's dashboard."""
 
     ready: bool
     trouble: str = ""
@@ -203,7 +203,7 @@ class ClusterView(BaseModel):
 
 
 class SearchedParameterView(BaseModel):
-    """A searched parameter in its unit at the door; ``target`` where it is known."""
+    """A searched parameter in the unit of the study file; ``target`` if it is known."""
 
     gene: str
     label: str
@@ -214,7 +214,7 @@ class SearchedParameterView(BaseModel):
 
 
 class StudyView(BaseModel):
-    """What a study asks: its parameters, and its file with all defaults.
+    """The parameters of a study, and its file with all defaults.
 
     ``score``: the label of the minimised score, for an axis.
     """
@@ -225,7 +225,7 @@ class StudyView(BaseModel):
 
 
 class BodiesView(BaseModel):
-    """What the viewers of slices and of the body show, or that it is being made.
+    """The data of the slice and body viewers, or the state of their preparation.
 
     ``tissues`` and ``differences``: (colour, meaning) of a legend.
     """
@@ -240,7 +240,7 @@ class BodiesView(BaseModel):
 
 
 class SessionView(BaseModel):
-    """Who asks, and whether reading needs a token, too; a stranger has no owner and no role."""
+    """The signed-in owner and role, if any, and whether reading needs a token."""
 
     owner: str
     role: str = ""
@@ -248,7 +248,7 @@ class SessionView(BaseModel):
 
 
 class Health(BaseModel):
-    """Whether the service is up; it may be up without a cluster."""
+    """The state of the service, which may be up without a cluster."""
 
     status: Literal["ok"] = "ok"
     version: str

@@ -1,4 +1,4 @@
-"""Messages as clients may read them: no paths of the server and no tracebacks."""
+"""Messages for clients, without server paths and tracebacks."""
 
 import re
 
@@ -8,7 +8,7 @@ MOST = 2000
 
 
 def public(text: str) -> str:
-    r"""Return a message without tracebacks; of absolute paths only the last name is kept.
+    r"""Return a message without tracebacks and with absolute paths cut to their last name.
 
     Examples
     --------

@@ -26,7 +26,7 @@ class Service:
     Parameters
     ----------
     read_token : bool
-        Whether reading needs a token, too.
+        Whether reading needs a token as well.
     """
 
     home: ServiceHome
@@ -54,27 +54,27 @@ def open_service(
     at_once: int = 8,
     reports: bool = True,
 ) -> Iterator[Service]:
-    """Open the service in a folder; it takes up what is waiting there, until it is closed.
+    """Open the service in a folder and run its waiting jobs until it is closed.
 
     Parameters
     ----------
     root : Path
-        Made when missing.
+        Created if missing.
     open_cluster : callable
-        Opens the cluster that does the work.
+        Opens the cluster.
     store : str or Path, optional
         Default: the folder ``store`` in `root`.
     tasks : Tasks, optional
-        What is sent to the workers.
+        Functions sent to the workers.
     at_once : int
-        Jobs that run at the same time.
+        Number of jobs run at the same time.
     reports : bool
-        Write the page of a study that has ended.
+        Write the page of a completed study.
 
     Raises
     ------
     StoreError
-        If folder or store cannot be used, or another service uses them.
+        If folder or store cannot be used, or another service is using them.
     """
     given = take_token()  # before any process inherits it
     limits, root = limits or Limits(), root.expanduser().absolute()

@@ -1,4 +1,4 @@
-"""What the API says of a job."""
+"""Views of a job in the API."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ FILES = {
 
 
 def job_view(service: Service, job: Job) -> JobView:
-    """Return a job with its progress; a journal that cannot be read is its reason."""
+    """Return a job with its progress; an unreadable journal is reported as its reason."""
     view = JobView(
         id=job.id,
         kind=job.kind,
@@ -75,19 +75,19 @@ def _best(job: Job, progress: JobProgress) -> Best | None:
 
 
 def view_now(service: Service, job: Job) -> JobView:
-    """Return a job as it has become."""
+    """Return the current view of a job."""
     return job_view(service, service.queue.get(job.id) or job)
 
 
 def state_of(service: Service, job: Job) -> State:
-    """Return the state of a job; one that waits may be running."""
+    """Return the state of a job; a waiting job may be running."""
     if job.state == "waiting" and service.runner.is_running(job.id):
         return "running"
     return job.state
 
 
 def _is_offered(service: Service, job: Job, name: str) -> bool:
-    """Say whether a file is there; one that leads elsewhere hides no other job from a list."""
+    """Return whether a file exists; a link that points elsewhere counts as missing."""
     try:
         return job_file(service, job, name) is not None
     except StoreError:
@@ -95,7 +95,7 @@ def _is_offered(service: Service, job: Job, name: str) -> bool:
 
 
 def job_file(service: Service, job: Job, name: str) -> Path | None:
-    """Return the path of a file of a job; None if there is none of that name."""
+    """Return the path of a file of a job; None if it does not exist."""
     if name not in FILES[job.kind]:
         return None
     path = service.home.job(job.id) / name

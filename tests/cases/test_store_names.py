@@ -67,6 +67,6 @@ def test_rm_refuses_what_a_study_needs_unless_it_is_forced(
     assert "Nothing was removed" in said and "--force" in said
     assert named_volumes(store) == {"patient": ["aaaa"], "other": ["bbbb"]}
     assert main(["store", "rm", "patient", "--force"]) == 0
-    assert "patient (aaaa) is removed" in capsys.readouterr().out
+    assert "patient (aaaa) was removed" in capsys.readouterr().out
     assert not has_volume(store, "aaaa")
     assert study_results(folder).state == "stopped"  # it can still be read

@@ -1,4 +1,4 @@
-"""A forward simulation of a cornea from Python is in equilibrium, and has its derivatives."""
+"""Forward simulations of a cornea from Python: equilibrium and derivatives."""
 
 import doctest
 import json
@@ -24,7 +24,7 @@ def result(model: palpate.Cornea) -> palpate.CorneaSimulation:
     return model.simulate()
 
 
-def test_the_example_is_true() -> None:
+def test_docstring_example() -> None:
     assert doctest.testmod(palpate.cornea).attempted
     assert doctest.testmod(palpate.cornea).failed == 0
 
@@ -44,10 +44,10 @@ def test_arrays_have_the_documented_shapes(result: palpate.CorneaSimulation) -> 
     assert len(repr(result)) < 200
 
 
-def test_the_wall_carries_the_pressure_of_the_eye() -> None:
+def test_wall_force_balances_pressure() -> None:
     """Without a jet the section is an arc of a thin ring: stress = pressure x radius / thickness.
 
-    The stress varies over the thickness; its mean is that of the middle surface.
+    The stress varies over the thickness; its mean is the value at the middle surface.
     """
     radius, thickness, mmhg = 7.8, 0.45, 15.0
     section = {"radius_mm": radius, "central_mm": thickness, "peripheral_mm": thickness}
@@ -75,7 +75,7 @@ def test_gradient_is_the_limit_of_differences(
     assert error < 1e-4 * np.linalg.norm(difference)
 
 
-def test_it_is_what_the_command_computes(
+def test_agrees_with_command(
     result: palpate.CorneaSimulation,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -89,7 +89,7 @@ def test_it_is_what_the_command_computes(
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::UserWarning")
-def test_workers_of_a_client_compute_the_same(
+def test_client_workers_give_equal_results(
     model: palpate.Cornea, result: palpate.CorneaSimulation, tmp_path: Path
 ) -> None:
     one = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
@@ -102,7 +102,7 @@ def test_workers_of_a_client_compute_the_same(
     assert (there.constants, there.reason) == (result.constants, "")
 
 
-def test_keys_and_constants_that_make_no_sense_are_refused(model: palpate.Cornea) -> None:
+def test_rejects_invalid_keys_and_constants(model: palpate.Cornea) -> None:
     with pytest.raises(palpate.InputError, match="did you mean 'mu1_pa'"):
         palpate.Cornea(mu1=3)
     with pytest.raises(palpate.InputError, match=r"mesh\.elements"):

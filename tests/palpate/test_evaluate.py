@@ -1,4 +1,4 @@
-"""A batch from Python scores what the forward model predicts."""
+"""Batches from Python agree with the forward model."""
 
 import pickle
 from pathlib import Path
@@ -33,7 +33,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> palpate.Study:
     return study_in(tmp_path_factory.mktemp("small"))
 
 
-def test_rows_score_what_the_forward_model_predicts(study: palpate.Study) -> None:
+def test_scores_agree_with_forward_model(study: palpate.Study) -> None:
     table = {"E_fat_kpa": [8.0, 12.0, 0.001]}
     found = study.evaluate(table, in_process=True)
     assert found["status"].tolist() == ["done", "done", "diverged"]
@@ -50,7 +50,7 @@ def test_rows_score_what_the_forward_model_predicts(study: palpate.Study) -> Non
     assert not Path(study.folder).exists()  # a batch is no run of the study
 
 
-def test_a_bad_row_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+def test_rejects_invalid_rows_before_work_starts(tmp_path: Path) -> None:
     study = study_in(tmp_path)
     with pytest.raises(palpate.InputError, match="Row 2: E_fat_kpa"):
         study.evaluate([{"E_fat_kpa": 8}, {"E_fat_kpa": 0}], in_process=True)
@@ -63,7 +63,7 @@ def test_a_design_stays_within_the_bounds(study: palpate.Study) -> None:
     assert ((columns["E_fat_kpa"] >= 5) & (columns["E_fat_kpa"] <= 20)).all()
 
 
-def test_results_travel_between_processes(study: palpate.Study) -> None:
+def test_results_can_be_pickled(study: palpate.Study) -> None:
     found = study.evaluate({"E_fat_kpa": [12.0]}, in_process=True)
     again = pickle.loads(pickle.dumps(found))
     assert again["gsf"].tolist() == found["gsf"].tolist()

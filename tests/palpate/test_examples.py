@@ -1,4 +1,4 @@
-"""The examples run as they are, on smaller meshes where they would take long."""
+"""The examples run unchanged, with smaller meshes if they are slow."""
 
 import runpy
 from pathlib import Path
@@ -24,7 +24,7 @@ def test_own_images_are_in_patient_coordinates_and_named_as_in_slicer() -> None:
     assert areas[: len(areas) // 2].sum() > 2 * areas[len(areas) // 2 :].sum()  # wall to nipple
 
 
-def test_own_images_give_back_the_hidden_constants(tmp_path: Path) -> None:
+def test_own_images_recover_hidden_constants(tmp_path: Path) -> None:
     folder = EXAMPLES / "own-images"
     keys = yaml.safe_load((folder / "study.yaml").read_text())
     for image in (keys["case"]["reference"], keys["target"]):
@@ -40,7 +40,7 @@ def test_own_images_give_back_the_hidden_constants(tmp_path: Path) -> None:
         assert estimate.estimate == pytest.approx(true, rel=0.15)
 
 
-def test_the_batch_ranks_the_constants_of_its_target_first(tmp_path: Path) -> None:
+def test_batch_ranks_target_constants_first(tmp_path: Path) -> None:
     folder = EXAMPLES / "batch"
     study = palpate.Study.from_dict(
         yaml.safe_load((folder / "study.yaml").read_text()), tmp_path / "batch"

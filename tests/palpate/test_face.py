@@ -1,4 +1,4 @@
-"""The public Python face: documented, typed, and nothing but what it promises."""
+"""The public Python interface: documented, typed and complete."""
 
 import doctest
 import inspect
@@ -22,7 +22,7 @@ EXAMPLE: dict[str, Any] = {
 }
 
 
-def test_the_examples_in_the_documentation_are_true() -> None:
+def test_documentation_examples() -> None:
     assert doctest.testmod(palpate).attempted > 3
     assert doctest.testmod(palpate).failed == 0
 
@@ -45,7 +45,7 @@ def test_every_error_is_public() -> None:
 
 
 def returned_types(value: Any) -> Iterator[type]:
-    """Types of this project that a public function, or the methods of a public class, return."""
+    """Return the project's types returned by a public function or a public class's methods."""
     functions = [value] if inspect.isfunction(value) else []
     if inspect.isclass(value) and value.__module__.count(".") == 1:
         members = [m.fget if isinstance(m, property) else m for m in vars(value).values()]
@@ -69,23 +69,23 @@ def test_every_returned_type_is_public() -> None:
     assert not hasattr(palpate, "TetMesh")  # which nothing returns
 
 
-def test_the_types_are_shipped() -> None:
+def test_package_ships_type_marker() -> None:
     assert (Path(palpate.__file__).parent / "py.typed").is_file()
 
 
-def test_a_study_that_makes_no_sense_is_refused_with_the_key() -> None:
+def test_rejects_invalid_study_and_names_key() -> None:
     with pytest.raises(palpate.InputError, match="did you mean"):
         palpate.study_spec(EXAMPLE | {"serch": {}})
 
 
-def test_a_study_of_an_unknown_folder_is_refused(tmp_path: Path) -> None:
+def test_rejects_unknown_study_folder(tmp_path: Path) -> None:
     with pytest.raises(palpate.InputError):
         palpate.Study.open(tmp_path / "nowhere")
     with pytest.raises(palpate.InputError):
         _ = palpate.Study.from_dict(EXAMPLE, tmp_path / "new").results
 
 
-def test_a_volume_that_is_written_reads_back_the_same(tmp_path: Path) -> None:
+def test_written_volume_reads_back_unchanged(tmp_path: Path) -> None:
     values = np.zeros((4, 5, 6), np.uint8)
     values[1:3, 1:4, 2:5] = palpate.Tissue.FAT
     volume = palpate.Volume(values, (1.5, 2.0, 0.5), (3.0, -4.0, 5.0))
@@ -96,7 +96,7 @@ def test_a_volume_that_is_written_reads_back_the_same(tmp_path: Path) -> None:
     assert again.origin_mm == volume.origin_mm
 
 
-def test_parameters_carry_their_units() -> None:
+def test_parameters_have_units() -> None:
     parameters = palpate.parameters()
     assert parameters["E_fat_kpa"].unit.to_door(parameters["E_fat_kpa"].lower) == 5
     assert "friction" in parameters

@@ -1,4 +1,4 @@
-"""A forward simulation from Python is in equilibrium, and is what `palpate simulate` computes."""
+"""Forward simulations from Python: equilibrium, and agreement with `palpate simulate`."""
 
 import doctest
 import json
@@ -51,10 +51,10 @@ def test_arrays_have_the_documented_shapes(result: palpate.Simulation) -> None:
     assert len(repr(result)) < 200
 
 
-def test_stress_carries_the_force_of_the_plates(result: palpate.Simulation) -> None:
-    """Stress along y, integrated over the body, is force times height: nothing else acts along y.
+def test_stress_balances_plate_force(result: palpate.Simulation) -> None:
+    """The stress along y integrated over the body is force times height, the only load along y.
 
-    The wall of this body is held loosely along y, which takes up a little of it.
+    The elastic wall takes a small part of the load along y.
     """
     assert result.plate_force_n == pytest.approx(FORCE_N, rel=1e-3)
     x = result.deformed_nodes_mm
@@ -75,7 +75,7 @@ def test_strain_follows_from_the_deformation(result: palpate.Simulation) -> None
     np.testing.assert_allclose(moved, edges[:, 1] - edges[:, 0], atol=1e-9)
 
 
-def test_the_wall_holds_what_pulls_on_it(result: palpate.Simulation) -> None:
+def test_wall_reaction_balances_load(result: palpate.Simulation) -> None:
     held = np.abs(result.reaction_n).sum(axis=1) > 0
     wall = result.nodes_mm[:, 2] < result.nodes_mm[:, 2].min() + 1e-6
     assert held.any()
@@ -100,7 +100,7 @@ def test_gradient_is_the_limit_of_differences(
     assert np.linalg.norm(gradient - difference) < 0.01 * np.linalg.norm(difference)
 
 
-def test_gradient_by_friction_agrees_with_differences(model: palpate.Breast) -> None:
+def test_friction_gradient_agrees_with_differences(model: palpate.Breast) -> None:
     result = model.simulate(friction=0.2)
     difference = (
         model.simulate(friction=0.22).displacement_mm
@@ -111,7 +111,7 @@ def test_gradient_by_friction_agrees_with_differences(model: palpate.Breast) -> 
 
 
 @pytest.mark.slow
-def test_what_diverges_is_a_result_with_a_reason(model: palpate.Breast) -> None:
+def test_diverged_simulation_has_reason(model: palpate.Breast) -> None:
     result = model.simulate(E_fat_kpa=0.001, E_glandular_kpa=0.001, eta_fat_kpa=0)
     assert not result.converged
     assert result.reason
@@ -133,7 +133,7 @@ def test_files_hold_the_arrays(result: palpate.Simulation, tmp_path: Path) -> No
         np.testing.assert_allclose(pressed, result.cauchy_stress_mpa[:, 1, 1])
 
 
-def test_pyvista_is_named_where_it_is_missing(
+def test_error_names_missing_pyvista(
     result: palpate.Simulation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pyvista", None)
@@ -151,7 +151,7 @@ case:
 """
 
 
-def test_it_is_what_the_command_computes(
+def test_agrees_with_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The file has neither target nor search."""
@@ -176,7 +176,7 @@ def test_a_case_alone_is_checked_like_a_study(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::UserWarning")
-def test_workers_of_a_client_compute_the_same(
+def test_client_workers_give_equal_results(
     model: palpate.Breast, result: palpate.Simulation, tmp_path: Path
 ) -> None:
     with (
@@ -206,12 +206,12 @@ def test_workers_of_a_client_compute_the_same(
         ({"force_n": 1e6}, "plausibility"),
     ],
 )
-def test_keys_that_make_no_sense_are_refused(keys: dict[str, Any], message: str) -> None:
+def test_rejects_invalid_keys(keys: dict[str, Any], message: str) -> None:
     with pytest.raises(palpate.InputError, match=message):
         palpate.Breast(small_breast(4.0), **keys)
 
 
-def test_constants_that_make_no_sense_are_refused(model: palpate.Breast) -> None:
+def test_rejects_invalid_constants(model: palpate.Breast) -> None:
     for constants, message in (
         ({"E_fatt_kpa": 8}, "did you mean"),
         ({"E_fat_kpa": -8}, "above 0 kPa"),
@@ -221,7 +221,7 @@ def test_constants_that_make_no_sense_are_refused(model: palpate.Breast) -> None
             model.simulate(**constants)
 
 
-def test_the_example_is_true() -> None:
+def test_docstring_example() -> None:
     assert doctest.testmod(palpate.forward).attempted
     assert doctest.testmod(palpate.forward).failed == 0
 

@@ -1,4 +1,4 @@
-"""The notebooks of the examples run from top to bottom and find what they say."""
+"""The example notebooks run completely and give the documented results."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ THREADS = "ignore::DeprecationWarning", "ignore::ResourceWarning"
 
 
 def text_of(notebook: nbformat.NotebookNode) -> str:
-    """Return all text that the cells have printed or returned."""
+    """Return all text output of the cells."""
     parts = []
     for cell in notebook.cells:
         for output in cell.get("outputs", ()):
@@ -22,14 +22,14 @@ def text_of(notebook: nbformat.NotebookNode) -> str:
 
 
 def executed(name: str, folder: Path) -> nbformat.NotebookNode:
-    """Return a notebook of the examples, executed in a folder."""
+    """Return an example notebook, executed in a folder."""
     notebook = nbformat.read(EXAMPLES / name, as_version=4)
     resources = {"metadata": {"path": str(folder)}}
     return NotebookClient(notebook, timeout=280, resources=resources).execute()
 
 
 def pictures_in(notebook: nbformat.NotebookNode) -> int:
-    """Return how many outputs are pictures."""
+    """Return the number of pictures in the output."""
     outputs = [o for cell in notebook.cells for o in cell.get("outputs", ())]
     return sum("image/png" in o.get("data", {}) for o in outputs)
 

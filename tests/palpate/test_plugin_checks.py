@@ -1,4 +1,4 @@
-"""`palpate.testing` passes on what ships, and names what is wrong with ten broken plug-ins."""
+"""`palpate.testing` accepts the built-ins and names the errors of ten broken plug-ins."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -93,7 +93,7 @@ def _wrong_rows(points: FloatArray, normals: FloatArray, tissues: Any, frame: An
 
 @dataclass(frozen=True)
 class WrongStress(NeoHookean):
-    """A neo-Hookean law whose stress has lost a factor."""
+    """A neo-Hookean law with a missing factor in its stress."""
 
     def stress(self, F: FloatArray) -> FloatArray:
         """See `Law.stress`."""
@@ -125,7 +125,7 @@ def _overwriting(target: Volume) -> Callable[[Any], float]:
 
 
 class Drawn:
-    """A search that draws its candidates anew whenever it is asked."""
+    """A search that draws new candidates at every call."""
 
     def __init__(self, asked: Any) -> None:
         self.space, self.rng = asked.search.space, np.random.default_rng()
@@ -197,7 +197,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
     ),
     "an organ under another name": (
         lambda: check_organ(replace(BREAST_PLUGIN, name="udder"), BREAST_CASE),
-        "calls itself 'breast'",
+        "has the name 'breast'",
     ),
     "an organ whose checks are missing": (
         lambda: check_organ(
@@ -210,7 +210,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_what_is_broken_is_named(name: str) -> None:
+def test_error_names_violated_condition(name: str) -> None:
     check, words = BROKEN[name]
     with pytest.raises(AssertionError, match=words):
         check()

@@ -1,4 +1,4 @@
-"""What a notebook sees of finished studies, diagnoses and volumes."""
+"""Completed studies, diagnoses and volumes in a notebook."""
 
 import re
 import shutil
@@ -49,7 +49,7 @@ def diagnosis(which: str = "effect") -> palpate.Diagnosis:
     return palpate.Diagnosis(made.summary, made.maps, made.scans)
 
 
-def test_an_estimate_has_interval_unit_and_answer(folders: Folders) -> None:
+def test_estimate_has_interval_unit_and_quotability(folders: Folders) -> None:
     fat = palpate.Study.open(folders["fitted"]).results.estimates["E_fat"]
     assert fat.interval is not None and fat.estimate is not None
     assert fat.interval[0] < fat.estimate < fat.interval[1]
@@ -59,7 +59,7 @@ def test_an_estimate_has_interval_unit_and_answer(folders: Folders) -> None:
     assert early.reasons == ("the search has not converged",)
 
 
-def test_samples_are_reached_from_the_results(folders: Folders) -> None:
+def test_results_give_samples(folders: Folders) -> None:
     results = palpate.Study.open(folders["fitted"]).results
     assert len(results.samples(40)["E_fat_kpa"]) == 40
     with pytest.raises(palpate.InputError, match="has not converged"):
@@ -104,7 +104,7 @@ def public_objects(folders: Folders) -> dict[str, Any]:
     }
 
 
-def test_public_objects_are_short_in_print(folders: Folders) -> None:
+def test_public_objects_have_short_repr(folders: Folders) -> None:
     for name, value in public_objects(folders).items():
         assert len(repr(value)) < 500, name
         assert repr(value).startswith("<"), name
@@ -132,7 +132,7 @@ def measured() -> palpate.Diagnosis:
 
 
 def parts(name: str, value: Any, deep: int = 4) -> Iterator[tuple[str, Any]]:
-    """Every object of this project that is reached from one by its public attributes."""
+    """Yield the project's objects reachable from one by public attributes."""
     if isinstance(value, dict | tuple | list):
         items = value.items() if isinstance(value, dict) else enumerate(value[:3])
         for key, one in items:
@@ -146,7 +146,7 @@ def parts(name: str, value: Any, deep: int = 4) -> Iterator[tuple[str, Any]]:
                     yield from parts(f"{name}.{attribute}", getattr(value, attribute), deep - 1)
 
 
-def test_all_that_is_reached_from_public_objects_is_short_in_print(folders: Folders) -> None:
+def test_reachable_objects_have_short_repr(folders: Folders) -> None:
     lengths = {
         path: len(repr(part))
         for name, value in (public_objects(folders) | {"bench": measured()}).items()
@@ -182,7 +182,7 @@ def test_a_volume_is_shown_as_sections_with_their_proportions() -> None:
     assert len(Page(flat._repr_html_()).images) == 1
 
 
-def test_the_results_are_those_of_the_journal(folders: Folders) -> None:
+def test_results_agree_with_journal(folders: Folders) -> None:
     results = palpate.Study.open(folders["fitted"]).results
     assert isinstance(results, palpate.StudyResults)
     assert {one.name for one in fields(results)} <= set(dir(results))
@@ -233,9 +233,7 @@ def test_the_gap_is_drawn_with_and_without_the_cause(which: str) -> None:
     assert residuals.get_title(loc="left") == "24 residuals"
 
 
-def test_a_table_without_pandas_is_refused(
-    folders: Folders, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rejects_table_without_pandas(folders: Folders, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     results = palpate.Study.open(folders["fitted"]).results
     with pytest.raises(palpate.InputError, match=re.escape("pip install 'palpate[data]'")):

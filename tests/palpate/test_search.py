@@ -1,4 +1,4 @@
-"""`palpate.Search`: ask and tell, for functions that Palpate does not compute."""
+"""`palpate.Search`: the ask-and-tell interface for arbitrary functions."""
 
 import doctest
 import math
@@ -31,7 +31,7 @@ def test_examples() -> None:
 
 
 @pytest.mark.parametrize("strategy", ["genetic", "cma"])
-def test_it_finds_a_minimum_and_repeats_itself(strategy: str) -> None:
+def test_finds_minimum_reproducibly(strategy: str) -> None:
     searches = [palpate.Search(BOUNDS, strategy, 3, population=16, generations=25) for _ in "ab"]
     assert followed(searches[0]) == followed(searches[1])
     one = searches[0]
@@ -50,14 +50,14 @@ def test_settings_of_a_study_file_apply() -> None:
     assert all(c["y"] >= 2 * c["x"] - 1e-9 for c in seen)
 
 
-def test_candidates_that_failed_are_no_answer() -> None:
+def test_failed_candidates_are_not_best() -> None:
     search = palpate.Search(BOUNDS, population=6, generations=2)
     assert (search.best, search.best_score) == ({}, math.inf)
     search.tell([math.nan, math.inf, 3.0, 2.0, math.inf, math.nan])
     assert search.best_score == 2.0
 
 
-def test_what_makes_no_sense_is_refused() -> None:
+def test_rejects_invalid_settings() -> None:
     with pytest.raises(palpate.InputError, match="has no derivatives"):
         palpate.Search(BOUNDS, "least-squares")
     with pytest.raises(palpate.InputError, match="populaton"):

@@ -1,4 +1,4 @@
-"""A bench specimen from Python deforms as textbooks say."""
+"""Bench specimens from Python agree with textbook solutions."""
 
 from pathlib import Path
 from typing import Any
@@ -54,12 +54,12 @@ def test_a_pulled_bar_lengthens_by_force_over_stiffness(bar: palpate.Specimen) -
     middle = np.abs(result.nodes_mm[result.tetrahedra][:, :, 2].mean(axis=1) - LENGTH / 2) < 10
     stress = result.cauchy_stress_mpa[middle, 2, 2].mean()
     assert stress == pytest.approx(FORCE / WIDTH**2, rel=0.05)
-    # Nothing but the stiffness opposes the force: du/dE = -u / E, nearly.
+    # Only the stiffness opposes the force: du/dE is about -u / E.
     gradient = result.gradient("E_kpa")[top, 2].mean()
     assert gradient == pytest.approx(-expected / 200, rel=0.1)
 
 
-def test_the_holds_carry_what_stretches_the_bar(bar: palpate.Specimen) -> None:
+def test_hold_reaction_balances_stretching_force(bar: palpate.Specimen) -> None:
     result = bar.simulate("stretched", E_kpa=200)
     base = result.nodes_mm[:, 2] < 1e-6
     force = -result.reaction_n[base, 2].sum()
@@ -72,7 +72,7 @@ def test_the_holds_carry_what_stretches_the_bar(bar: palpate.Specimen) -> None:
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::UserWarning")
 @pytest.mark.parametrize("form", ["block", "mesh file"])
-def test_workers_of_a_client_compute_the_same(form: str, tmp_path: Path) -> None:
+def test_client_workers_give_equal_results(form: str, tmp_path: Path) -> None:
     keys = BAR
     if form == "mesh file":
         mesh = lattice((WIDTH, WIDTH, LENGTH), (3, 3, 5))
@@ -94,7 +94,7 @@ def test_workers_of_a_client_compute_the_same(form: str, tmp_path: Path) -> None
     assert len(list((tmp_path / "store" / "evaluations").iterdir())) == 1
 
 
-def test_what_is_unknown_or_missing_is_named(bar: palpate.Specimen) -> None:
+def test_error_names_unknown_or_missing_constants(bar: palpate.Specimen) -> None:
     with pytest.raises(palpate.InputError, match="did you mean 'pulled'"):
         bar.simulate("puled", E_kpa=200)
     with pytest.raises(palpate.InputError, match="needs E_kpa"):

@@ -1,4 +1,4 @@
-"""A study has the same candidates wherever its evaluations run."""
+"""The candidates of a study do not depend on where its evaluations run."""
 
 import os
 import subprocess
@@ -24,7 +24,7 @@ def _tasks_take_no_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
-    """A client of the cluster that a study without one would start."""
+    """Provide a client of the cluster that a study would start by default."""
     with open_cluster(workers=2) as cluster:
         yield cluster.client
 
@@ -35,14 +35,14 @@ def run(folder: Path, **where: Any) -> dict[int, tuple[Any, ...]]:
     return told(folder)
 
 
-def test_cluster_client_and_process_have_the_same_candidates(client: Any, tmp_path: Path) -> None:
+def test_cluster_client_and_process_give_equal_candidates(client: Any, tmp_path: Path) -> None:
     here = run(tmp_path / "here" / "demo", in_process=True)
     assert len(here) > 30
     assert run(tmp_path / "client" / "demo", client=client) == here
     assert client.status == "running"  # stays open
 
 
-def test_one_place_at_a_time(client: Any, tmp_path: Path) -> None:
+def test_rejects_several_places_at_once(client: Any, tmp_path: Path) -> None:
     study = palpate.Study(small_spec(), tmp_path / "demo")
     with pytest.raises(palpate.InputError, match="workers and in_process"):
         study.run(workers=2, in_process=True)

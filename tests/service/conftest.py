@@ -1,4 +1,4 @@
-"""Fixtures of the room."""
+"""Fixtures of the tests of service."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +15,7 @@ from palpate.service.study import session as session_module
 def call(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., tuple[int, str, str]]:
-    """Run a command in an empty folder: exit code, standard output, standard error."""
+    """Run a command in an empty folder; return exit code, standard output and standard error."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "140")
 
@@ -29,7 +29,7 @@ def call(
 
 @pytest.fixture
 def no_cluster(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever opens a cluster fails: what is asked for must be in the store."""
+    """Make opening a cluster fail, so that results must come from the store."""
 
     def refuse(*arguments: Any) -> None:
         raise AssertionError("a cluster was opened")

@@ -1,4 +1,4 @@
-"""Commands as processes of their own, without their start: forks of one that has imported all.
+"""Commands as forks of one process with all imports, to save their start-up time.
 
 A fork has its own folder, environment, standard streams and exit code; what it does not have
 is the seconds that Python takes to import SciPy, Numba and Dask.
@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-# What `palpate run` loads on its way to the first check, and other commands to theirs.
+# Modules that commands load before their first check.
 IMPORTS = (
     "palpate.service.cli",
     "palpate.service.cluster.open",
@@ -34,9 +34,9 @@ class ForkedCommands:
     Parameters
     ----------
     environment : mapping
-        Of all commands.
+        Environment of all commands.
     wrapped_in : sequence of str
-        A command that runs the process from which all others are forked.
+        Prefix of the command that starts the parent process.
     """
 
     def __init__(self, environment: Mapping[str, str], wrapped_in: Sequence[str] = ()) -> None:
@@ -51,7 +51,7 @@ class ForkedCommands:
     def __call__(
         self, arguments: Sequence[str], folder: Path, logs: Path, environment: Mapping[str, str]
     ) -> "subprocess.CompletedProcess[str]":
-        """Run a command in a folder; its streams go through files in another one."""
+        """Run a command in a folder, with its streams in files in another one."""
         assert self._server.stdin is not None
         assert self._server.stdout is not None
         streams = [str(logs / "stdout"), str(logs / "stderr")]
@@ -63,7 +63,7 @@ class ForkedCommands:
         return subprocess.CompletedProcess(list(arguments), code, *said)
 
     def close(self) -> None:
-        """End the process from which the others were forked."""
+        """End the parent process."""
         self._server.communicate()
 
 
@@ -71,14 +71,14 @@ class ForkedCommands:
 def forked_commands(
     environment: Mapping[str, str], wrapped_in: Sequence[str] = ()
 ) -> Iterator[ForkedCommands]:
-    """Commands that can be run within the context."""
+    """Provide forked commands within the context."""
     commands = ForkedCommands(environment, wrapped_in)
     yield commands
     commands.close()
 
 
 def main() -> None:
-    """Run what is asked, line by line, and answer with exit codes."""
+    """Run requests line by line and answer with exit codes."""
     for name in IMPORTS:
         importlib.import_module(name)
     from palpate.__main__ import main as palpate
@@ -99,7 +99,7 @@ def main() -> None:
             atexit._run_exitfuncs()
             sys.stdout.flush()
             sys.stderr.flush()
-            os._exit(code)  # to take so many modules apart takes longer than the command
+            os._exit(code)  # unloading so many modules takes longer than the command
         _, status = os.waitpid(child, 0)
         sys.stdout.write(f"{os.waitstatus_to_exitcode(status)}\n")
         sys.stdout.flush()

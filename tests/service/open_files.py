@@ -1,4 +1,4 @@
-"""Diagnose a case in a process that notes every file it opens.
+"""Diagnose a case in a process that records every file it opens.
 
 ::
 
@@ -18,7 +18,7 @@ EVENTS = ("open", "os.listdir", "os.scandir")
 
 
 def note(event: str, arguments: tuple[object, ...]) -> None:
-    """An audit hook: files opened and folders listed, by Python and by what it calls."""
+    """Record opened files and listed folders; an audit hook."""
     if event in EVENTS and isinstance(arguments[0], str | os.PathLike):
         OPENED.append(os.path.realpath(arguments[0]))
 

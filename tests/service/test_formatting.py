@@ -1,4 +1,4 @@
-"""Words and numbers, as a reader wants them."""
+"""Formatting of numbers and names."""
 
 import doctest
 import math
@@ -8,7 +8,7 @@ import pytest
 from palpate.service import formatting
 
 
-def test_the_examples_in_the_docstrings() -> None:
+def test_docstring_examples() -> None:
     results = doctest.testmod(formatting)
     assert results.failed == 0
     assert results.attempted >= 8
@@ -29,14 +29,14 @@ def test_numbers(value: float, said: str) -> None:
     assert formatting.number(value) == said
 
 
-def test_the_sign_of_an_error_says_on_which_side() -> None:
+def test_sign_of_error() -> None:
     assert formatting.signed_error(9.0, 10.0) == pytest.approx(-0.1)
     assert formatting.signed_error(11.0, 10.0) == pytest.approx(0.1)
     assert formatting.signed_error(1.0, 0.0) is None
     assert formatting.signed_error(None, 1.0) is None
 
 
-def test_an_edge_is_a_hundredth_of_the_interval() -> None:
+def test_edge_is_one_percent_of_interval() -> None:
     assert formatting.at_edge(5.1, (5.0, 20.0))
     assert not formatting.at_edge(5.2, (5.0, 20.0))
     assert formatting.at_edge(19.9, (5.0, 20.0))

@@ -1,4 +1,4 @@
-"""`palpate diagnose`: why a simulated body differs from the real one."""
+"""The command `palpate diagnose`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -57,7 +57,7 @@ def diagnose(
     """
     scheduler, processes = cluster_options(scheduler, workers)
     with interruptible(), forked_workers(scheduler, "palpate.service.diagnosis.worker_imports"):
-        # Both processes import at the same time: this one and the one that workers are forked from.
+        # This process and the one that workers are forked from import at the same time.
         from palpate.service.commands.diagnoses.diagnosing import Wanted, diagnose_source
 
         wanted = Wanted(out, nodes, plan, anyway, store, as_json)

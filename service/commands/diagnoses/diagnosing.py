@@ -1,4 +1,4 @@
-"""The work of `palpate diagnose`, once its options are read."""
+"""The implementation of `palpate diagnose`."""
 
 import time
 from dataclasses import dataclass, replace
@@ -53,16 +53,16 @@ class Wanted:
 def diagnose_source(
     source: Path, wanted: Wanted, workers: Workers | None, scheduler: str | None
 ) -> None:
-    """Diagnose what is at a path, write the page and print the verdict.
+    """Diagnose a source, write the page and print the verdict.
 
     Raises
     ------
     InputError
-        If the source does not make sense, or is a bench experiment to be planned.
+        If the source is not valid, or is a bench experiment with --plan.
     """
     if wanted.plan and source.is_file() and not is_plannable(source):
         raise InputError(
-            f"{source} is a bench experiment, and --plan knows further scans only. Leave it out."
+            f"{source} is a bench experiment, and --plan can only suggest scans. Omit it."
         )
     store = store_place(wanted.store)
     opened = open_source(source, store)
@@ -92,10 +92,10 @@ def _diagnosed(
     workers: Workers | None,
     scheduler: str | None,
 ) -> FinishedDiagnosis:
-    """Return the diagnosis, from the store if it is there."""
+    """Return the diagnosis, from the store if present."""
     stored = finished(request)
     if stored is not None:
-        note("The store holds this diagnosis: nothing to compute.")
+        note("This diagnosis is in the store: nothing to compute.")
         return stored
     with (
         session(scheduler, workers) as opened,
@@ -105,7 +105,7 @@ def _diagnosed(
 
 
 def _to_be_planned(summary: Summary, source: Path, wanted: bool | None) -> bool:
-    """Return whether more measurements are to be tried; a bench experiment has none."""
+    """Return whether to try further measurements; a bench experiment has none."""
     return (undecided(summary) and is_plannable(source)) if wanted is None else wanted
 
 
@@ -116,20 +116,20 @@ def _with_plan(
     workers: Workers | None,
     scheduler: str | None,
 ) -> FinishedDiagnosis:
-    """Add what else could be measured."""
+    """Add the most informative further measurements."""
     nodes = min(NODES, request.nodes)
     try:
         asked = request_plan(source, request.store, nodes, anyway=True)
         plan = planned(asked, workers, scheduler)
     except PalpateError as error:
-        typer.echo(f"No further measurement could be tried. {error}", err=True)
+        typer.echo(f"Further measurements could not be tried. {error}", err=True)
         return diagnosis
     options = next_acquisitions(diagnosis.summary, plan)
     return replace(diagnosis, summary=replace(diagnosis.summary, next_acquisitions=options))
 
 
 def print_verdict(summary: Summary, console: Console) -> None:
-    """Print a sentence, and the most probable causes."""
+    """Print the verdict and the most probable causes."""
     for text in summary.caveats or ():
         console.print(text, soft_wrap=True)
     console.print(sentence(summary), soft_wrap=True)
@@ -146,7 +146,7 @@ def print_verdict(summary: Summary, console: Console) -> None:
     if summary.absorbed:
         names = ", ".join(spoken(name) for name in summary.absorbed)
         console.print(
-            f"Hidden in the constants, neither accused nor acquitted: {names}.", soft_wrap=True
+            f"Absorbed by the constants, neither confirmed nor ruled out: {names}.", soft_wrap=True
         )
     for option in summary.next_acquisitions or ():
         console.print(f"Next, {option.name}: {worth(option)}.", soft_wrap=True)

@@ -1,4 +1,4 @@
-"""`palpate plan`: what an acquisition can tell, before it is made."""
+"""The command `palpate plan`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -43,7 +43,7 @@ def plan(
     """
     scheduler, processes = cluster_options(scheduler, workers)
     with interruptible(), forked_workers(scheduler, "palpate.workers.tasks.planning"):
-        # Both processes import at the same time: this one and the one that workers are forked from.
+        # This process and the one that workers are forked from import at the same time.
         from palpate.service.commands.diagnoses.planning import Wanted, plan_source
 
         plan_source(source, Wanted(out, nodes, anyway, store, as_json), processes, scheduler)

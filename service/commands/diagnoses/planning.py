@@ -1,4 +1,4 @@
-"""Plans on a cluster, and what is printed of them."""
+"""The implementation of `palpate plan`."""
 
 import time
 from dataclasses import dataclass, replace
@@ -52,7 +52,7 @@ class Wanted:
 def plan_source(
     source: Path, wanted: Wanted, workers: Workers | None, scheduler: str | None
 ) -> None:
-    """Plan further scans of what is at a path, write the page and print the plan."""
+    """Plan further scans of a source, write the page and print the plan."""
     print_understood(source)
     store = store_place(wanted.store)
     request, findings = checked_plan(source, store, wanted.nodes, anyway=wanted.anyway)
@@ -72,10 +72,10 @@ def planned(
     workers: Workers | None,
     scheduler: str | None,
 ) -> PlanSummary:
-    """Return the plan, from the store if it is there."""
+    """Return the plan, from the store if present."""
     done = stored_plan(request)
     if done is not None:
-        note("The store holds this plan: nothing to compute.")
+        note("This plan is in the store: nothing to compute.")
         return done
     with session(scheduler, workers) as opened:
         progress = _Progress(progress_console())
@@ -83,15 +83,15 @@ def planned(
 
 
 class _Progress:
-    """Prints a line for each load on standard error."""
+    """Progress on standard error, a line for each load."""
 
     def __init__(self, console: Console) -> None:
         self.console, self.begun = console, time.monotonic()
 
     def __call__(self, done: int, of: int, record: LoadRecord | None) -> None:
-        text = f"simulating {of} loads and what every effect would do to them"
+        text = f"simulating {of} loads and the influence of every effect on them"
         if record is not None:
-            ending = "" if record.simulated else ", which does not converge"
+            ending = "" if record.simulated else ", not converged"
             text = f"{done} of {of} loads: {record.name}{ending}"
         spent = clock(time.monotonic() - self.begun)
         self.console.print(f"[{spent}] {text}", markup=False, highlight=False, soft_wrap=True)
@@ -105,7 +105,7 @@ def _write(summary: PlanSummary, page: Path) -> Path:
 
 
 def print_plan(summary: PlanSummary, console: Console) -> None:
-    """Print what can be told and what would tell more."""
+    """Print which effects can be found, and which scans would reveal more."""
     for text in summary.caveats or ():
         console.print(text, soft_wrap=True)
     console.print(headline(summary), soft_wrap=True)
@@ -120,13 +120,13 @@ def print_plan(summary: PlanSummary, console: Console) -> None:
         )
         for e in summary.effects
     ]
-    headings = ("effect", "found from", "plausible", "absorbed", "most alike", "")
+    headings = ("effect", "found from", "plausible", "absorbed", "most similar", "")
     print_table(console, headings, rows, right=(3,))
     for text in (silence(summary), confusions(summary), drift(summary)):
         if text:
             console.print(text, soft_wrap=True)
     further = [(a.name, f"x {a.minimum_ratio:.2f}", gain(a)) for a in summary.acquisitions]
-    print_table(console, ("what else could be measured", "found from", "gain"), further)
+    print_table(console, ("further measurement", "found from", "gain"), further)
     if summary.not_simulated:
         names = ", ".join(summary.not_simulated)
-        console.print(f"The model does not converge at {names}.", soft_wrap=True)
+        console.print(f"The model does not converge for {names}.", soft_wrap=True)

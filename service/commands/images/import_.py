@@ -1,4 +1,4 @@
-"""`palpate import` reads an image into the store, under a name."""
+"""The command `palpate import`."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -141,7 +141,7 @@ def _draw(path: Path, volume: Volume, name: str, letters: tuple[str, str, str] |
 
 
 def _print(volume: Volume, record: dict[str, Any]) -> None:
-    """Print facts and slices; the slices with letters where there are no colours."""
+    """Print facts and slices; without colours, the slices consist of letters."""
     echo_table(None, facts(record, record["axes"]))
     console = Console(highlight=False, markup=False)
     coloured = console.is_terminal and not console.no_color
@@ -157,7 +157,7 @@ def _keep(store: Store, name: str, volume: Volume, file: str, *, replace: bool) 
     Raises
     ------
     InputError
-        If the name means another volume, which is not to be replaced.
+        If the name belongs to another volume and `replace` is false.
     """
     place = [list(volume.spacing_mm), list(volume.origin_mm), *volume.frame_facts]
     content = digest("import", name, array_digest(volume.values), *place)
@@ -182,12 +182,12 @@ def _keep(store: Store, name: str, volume: Volume, file: str, *, replace: bool) 
 
 
 def parse_labels(text: str | None) -> dict[int | str, str] | str | None:
-    """Parse ``0=air,1=fat`` or ``Adipose=fat`` as a mapping; the path of a file stays a text.
+    """Parse ``0=air,1=fat`` or ``Adipose=fat`` as a mapping; return the path of a file as text.
 
     Raises
     ------
     InputError
-        If it does not read so.
+        If it is malformed.
     """
     if text is None or ("=" not in text and Path(text).is_file()):
         return text
@@ -196,7 +196,7 @@ def parse_labels(text: str | None) -> dict[int | str, str] | str | None:
         label, equals, tissue = (piece.strip() for piece in part.rpartition("="))
         if not (equals and label and tissue):
             raise InputError(
-                f"--labels {text}: expected such as 0=air,1=fat,2=glandular, names of the file "
+                f"--labels {text}: expected e.g. 0=air,1=fat,2=glandular, names from the file "
                 "such as Adipose=fat, or a file that names the labels."
             )
         key = int(label) if label.isdecimal() else label

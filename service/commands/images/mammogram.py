@@ -1,4 +1,4 @@
-"""`palpate mammogram` takes mammograms of the body of a study."""
+"""The command `palpate mammogram`."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -48,9 +48,9 @@ def mammogram(
     views: list[Any] = [v.upper() for v in view or OBLIQUE_DEG]
     unknown = [v for v in views if v not in OBLIQUE_DEG]
     if unknown:
-        raise InputError(f"--view {unknown[0]}: a view is CC or MLO.")
+        raise InputError(f"--view {unknown[0]}: expected CC or MLO.")
     if results.best is None:
-        raise InputError(f"The study {folder} has no candidate with a score yet: let it run.")
+        raise InputError(f"The study {folder} has no scored candidate yet: continue it first.")
     spec = results.spec
     target = spec.target.constants
     place = store_place(store or results.store)

@@ -1,4 +1,4 @@
-"""`palpate mesh` makes the tetrahedra of a study's body."""
+"""The command `palpate mesh`."""
 
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,4 +1,4 @@
-"""`palpate phantom` makes a virtual breast."""
+"""The command `palpate phantom`."""
 
 from pathlib import Path
 from typing import Annotated

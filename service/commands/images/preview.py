@@ -1,4 +1,4 @@
-"""What an image was understood to be: a table, and three slices through it."""
+"""A preview of an imported image: a table of facts, and three slices."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -26,7 +26,7 @@ DIRECTIONS = {
     "S": "superior",
     "I": "inferior",
 }
-# Where a terminal has no colours.
+# For terminals without colours.
 LETTERS = {
     Tissue.AIR: " ",
     Tissue.FAT: ".",
@@ -39,14 +39,14 @@ WIDEST_PANEL, GAP = 34, 2
 
 
 def facts(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, str]]:
-    """Return name and text of the facts of an imported image.
+    """Return the names and texts of the facts about an imported image.
 
     Parameters
     ----------
     summary : mapping
-        See `workers.body.images.labels.summarise`; with what `palpate import` adds to it.
+        See `workers.body.images.labels.summarise`; with the additions of `palpate import`.
     axes : str or None
-        As the user gave them.
+        As given by the user.
     """
     rows = [
         ("voxels", " x ".join(str(n) for n in summary["shape"])),
@@ -64,7 +64,7 @@ def facts(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, str]]
     for label in labels:
         share = 100 * label["ml"] / max(whole, 1e-12)
         rows.append((str(label.get("tissue", "?")), f"{label['ml']:.4g} ml, {share:.3g} %"))
-    rows.append(("together", f"{whole:.4g} ml"))
+    rows.append(("total", f"{whole:.4g} ml"))
     return rows
 
 
@@ -91,7 +91,7 @@ def _extents(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, st
 
 
 def _understood(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return which label of the file was taken for which tissue, where the file has names."""
+    """Return the tissue assigned to each named label of the file."""
     names, tissues = summary.get("label_names") or {}, summary.get("label_tissues") or {}
     if not names:
         return []
@@ -99,7 +99,7 @@ def _understood(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def doubt(volume: Volume) -> str:
-    """Return what speaks against the axes; empty where nothing does.
+    """Return a warning about implausible axes; empty if there is none.
 
     A breast is widest at the chest wall, the low end of z.
     """
@@ -202,7 +202,7 @@ def terminal_lines(volume: Volume, width: int, *, colours: bool) -> Iterator[Any
     width : int
         Columns of the terminal.
     colours : bool
-        Draw with half blocks, two pixels a character; else with a letter for each tissue.
+        Draw half blocks, two pixels per character; otherwise a letter for each tissue.
     """
     from rich.text import Text
 
@@ -267,7 +267,7 @@ def _colour(tissue: int) -> str:
 
 
 def _resampled(cut: Section, rows: int, columns: int) -> NDArray[np.uint8]:
-    """Return the labels at the centres of so many pixels, row 0 at the bottom."""
+    """Return the labels at the pixel centres of a grid, row 0 at the bottom."""
     have = cut.values.shape
     i = ((np.arange(rows) + 0.5) * have[0] / rows).astype(np.intp)
     j = ((np.arange(columns) + 0.5) * have[1] / columns).astype(np.intp)

@@ -1,4 +1,4 @@
-"""`palpate certs` makes the certificates of a cluster whose connections are encrypted."""
+"""The command `palpate certs`."""
 
 import shlex
 from pathlib import Path
@@ -32,7 +32,7 @@ def certs(
     for name, value in environment.items():
         typer.echo(f"export {name}={shlex.quote(value)}")
     typer.echo(
-        f"{made.folder}: valid for {days} days. Whoever has a key can run code on the cluster; "
-        "ca.key is needed nowhere but here.",
+        f"{made.folder}: valid for {days} days. Anyone with a key can run code on the cluster; "
+        "ca.key is needed only here.",
         err=True,
     )

@@ -1,4 +1,4 @@
-"""`palpate cluster` runs workers as jobs of a batch system, for `palpate run` and `serve`."""
+"""The command `palpate cluster`."""
 
 import time
 from pathlib import Path
@@ -30,7 +30,7 @@ def cluster(
     memory: Annotated[
         str,
         typer.Option(
-            help="Memory per job. SGE is not asked for it: name your site's resource with "
+            help="Memory per job. Not passed to SGE: name your site's resource with "
             "--option, for example '-l h_vmem=4G'."
         ),
     ] = "4GB",
@@ -90,8 +90,8 @@ def cluster(
         typer.echo(jobs.script)
         if not jobs.address.startswith("tls://"):
             typer.echo(
-                f"{jobs.address} is not encrypted: whoever reaches it can run code on the workers. "
-                "`palpate certs` makes certificates.",
+                f"{jobs.address} is not encrypted: anyone who can reach it can run code on the "
+                "workers. `palpate certs` creates certificates.",
                 err=True,
             )
         if dry_run:

@@ -1,4 +1,4 @@
-"""`palpate doctor` says whether everything is ready."""
+"""The command `palpate doctor`."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""`palpate serve` keeps a queue of studies and diagnoses on one cluster."""
+"""The command `palpate serve`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -44,7 +44,7 @@ def serve(
     read_token: Annotated[
         bool,
         typer.Option(
-            help="Require a token for reading, too. Always on unless --host is this machine."
+            help="Require a token for reading as well. Always on unless --host is this machine."
         ),
     ] = False,
     at_once: Annotated[
@@ -76,8 +76,8 @@ def serve(
         ):
             if not service.tokens:
                 token = service.tokens.new("first", "admin")
-                typer.echo(f"token (shown once; `palpate token` makes others): {token}")
+                typer.echo(f"token (shown once; `palpate token` creates others): {token}")
                 typer.echo(f"page, signed in: {url_of(listening)}/#token={token}")
             typer.echo(f"serving {service.home.root} at {url_of(listening)}")
             listen_and_serve(service, listening, allow_host or (), stop=lambda: requests)
-            typer.echo("Stopping; what is finished is kept.", err=True)
+            typer.echo("Stopping; completed work is saved.", err=True)

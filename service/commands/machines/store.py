@@ -1,4 +1,4 @@
-"""`palpate store` looks after a store: check, rm, gc, migrate, export and import."""
+"""The commands of `palpate store`: check, rm, gc, migrate, export and import."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -135,7 +135,7 @@ def rm(
         return
     for v in found:
         used = f"; needed by {', '.join(map(str, v.studies))}" if v.studies else ""
-        typer.echo(f"{v.name} ({v.digest}) is removed from {opened}{used}")
+        typer.echo(f"{v.name} ({v.digest}) was removed from {opened}{used}")
 
 
 @app.command("migrate")
@@ -149,7 +149,7 @@ def migrate(store: StoreOption = None, as_json: JsonOption = False) -> None:
     if as_json:
         print_json({"store": str(place), "before": before, "after": after})
     elif before == after:
-        typer.echo(f"{place}: schema {after}, the present one; nothing to do")
+        typer.echo(f"{place}: schema {after}, the current one; nothing to do")
     else:
         typer.echo(f"{place}: schema {before} is now {after}")
 
@@ -196,13 +196,13 @@ def gc(
         typer.echo(str(path))
     if len(garbage.paths) > SHOWN:
         typer.echo(f"and {len(garbage.paths) - SHOWN} more")
-    what = "removed" if delete else "can go"
+    what = "removed" if delete else "can be removed"
     typer.echo(
         f"{len(garbage.paths)} entries, {garbage.size_bytes / GIB:.2f} GiB, {what}; "
-        f"what {len(kept)} studies need is kept"
+        f"data of {len(kept)} studies are kept"
     )
     if garbage.paths and not delete:
-        typer.echo("To remove them: the same command with --delete")
+        typer.echo("To remove them, run the same command with --delete")
 
 
 @app.command("export")
@@ -223,7 +223,7 @@ def export(
         print_json(record | {"bytes": made.size_bytes})
     else:
         typer.echo(f"{archive}: the study {made.name}, {made.files} files")
-        typer.echo(f"elsewhere: palpate store import {archive.name}")
+        typer.echo(f"to import it elsewhere: palpate store import {archive.name}")
 
 
 @app.command("import")

@@ -1,4 +1,4 @@
-"""`palpate token` makes and removes the tokens of a service."""
+"""The commands of `palpate token`."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -23,7 +23,7 @@ def new(
     role: Annotated[
         Literal["read", "submit", "admin"],
         typer.Option(
-            help="What the token allows: read; submit, and change one's own jobs; or admin, "
+            help="What the token allows: read; submit, which includes changing own jobs; or admin, "
             "change the jobs of others."
         ),
     ] = "submit",

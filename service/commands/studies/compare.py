@@ -1,4 +1,4 @@
-"""`palpate compare` shows the results and settings of several studies side by side."""
+"""The command `palpate compare`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -55,7 +55,7 @@ def compare(
 
 
 def print_comparison(comparison: StudyComparison, console: Console) -> None:
-    """Print constants, scores and settings that differ on a console."""
+    """Print constants, scores and differing settings on a console."""
     labels = [study.label for study in comparison.studies]
     right = tuple(range(1, len(labels) + 1))
     for study in comparison.studies:
@@ -74,4 +74,4 @@ def print_comparison(comparison: StudyComparison, console: Console) -> None:
     if settings:
         print_table(console, ("setting", *labels), settings, right=right)
     else:
-        console.print("The study files are equal but for their names.")
+        console.print("The study files are identical except for their names.")

@@ -1,4 +1,4 @@
-"""`palpate evaluate` scores the candidates of a table or a design."""
+"""The command `palpate evaluate`."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,7 +24,7 @@ def evaluate(
         typer.Argument(
             metavar="[TABLE] STUDY",
             help="Table of candidates (.csv or .parquet, one column per constant, such as "
-            "E_fat_kpa), then a study file or folder. With --design, the study alone.",
+            "E_fat_kpa), then a study file or folder. With --design, only the study.",
             show_default=False,
         ),
     ],
@@ -58,9 +58,9 @@ def evaluate(
 ) -> None:
     """Evaluate a table or a design of candidates of a study.
 
-    Constants without a column keep the values of the case. What the store has is not computed
-    again: press Ctrl-C to stop at any time, and the same command continues. Candidates that do not
-    converge are rows with a reason.
+    Constants without a column keep the values of the case. Stored evaluations are
+    reused: press Ctrl-C to stop at any time, and the same command continues. Rows of candidates
+    that do not converge have a reason.
     """
     with interruptible():  # before the imports, which take a while
         scheduler, processes = cluster_options(scheduler, workers)
@@ -98,10 +98,10 @@ def evaluate(
 
 
 def _table_and_study(paths: list[Path], design: str | None) -> tuple[Path | None, Path]:
-    """Return the table, if there is one, and the study; they may come in either order."""
+    """Return the table, if any, and the study, given in either order."""
     if design is not None:
         if len(paths) != 1:
-            raise InputError("--design makes the table itself: give the study alone.")
+            raise InputError("--design replaces the table: give only the study.")
         return None, paths[0]
     if len(paths) != 2:
         raise InputError("Give a table and a study, or a study and --design sobol --n 256.")

@@ -1,4 +1,4 @@
-"""`palpate export` writes a deformed body for other programs."""
+"""The command `palpate export`."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -51,8 +51,8 @@ def export(
 ) -> None:
     """Export a deformed body to ParaView, CAD or another solver.
 
-    The body is simulated once more. An .inp or .feb file holds the whole model, with the plates
-    replaced by the displacements of the nodes they touch; its first lines list what was left out.
+    The body is simulated again. An .inp or .feb file contains the whole model, with the plates
+    replaced by the displacements of the nodes they touch; its first lines list any omissions.
     Its solution in the other solver can be compared node by node with a .vtu file written with
     --comparable.
     """
@@ -80,12 +80,12 @@ def export(
 def _constants(
     study: Path, spec: StudySpec, candidate: str | None, given: list[str]
 ) -> tuple[dict[str, float], str]:
-    """Return constants by their inside names, and whose they are in words."""
+    """Return constants by internal name, and a description of their origin."""
     if candidate is None:
         whose = "the constants given" if given else "its own constants"
         return constants_option(spec.case, given), whose
     if given:
-        raise InputError("--candidate and --set exclude each other: a candidate has its constants.")
+        raise InputError("--candidate and --set exclude each other: a candidate has constants.")
     if not study.is_dir():
         raise InputError(f"{study} is a study file: --candidate needs the folder of a study.")
     if candidate != "best" and not candidate.isdecimal():

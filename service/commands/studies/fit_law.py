@@ -1,4 +1,4 @@
-"""`palpate fit-law` fits laws to tables of stress and stretch."""
+"""The command `palpate fit-law`."""
 
 from math import isfinite
 from pathlib import Path
@@ -26,14 +26,14 @@ def fit_law(
     ],
     law: Annotated[str, typer.Option("--law", help="Name of a law, or all.")] = "all",
     nu: Annotated[
-        float, typer.Option("--nu", help="Poisson's ratio of the file that takes the constants.")
+        float, typer.Option("--nu", help="Poisson's ratio in the file that uses the constants.")
     ] = 0.49,
     as_json: JsonOption = False,
 ) -> None:
     """Fit material laws to stress-stretch tables of one material.
 
-    Every table counts the same. The specimen is taken as incompressible. Laws are ranked by AICc,
-    and the lines for a study file or a bench experiment are printed for the best one.
+    All tables have the same weight. The specimen is assumed to be incompressible. Laws are ranked
+    by AICc, and the lines for a study file or a bench experiment are printed for the best one.
     """
     if not 0 < nu < 0.5:
         raise InputError(f"--nu must be above 0 and below 0.5, found {nu:g}.")
@@ -47,7 +47,7 @@ def fit_law(
         try:
             one = fit_one(law_named(name), [table for _, table in read])
             if law == "all" and not isfinite(one.aicc):
-                raise InputError("The tables have too few points to compare it with other laws.")
+                raise InputError("The tables have too few points to compare laws.")
             fits.append(one)
         except InputError as error:
             if law != "all":
@@ -110,8 +110,8 @@ def _print(fits: list[LawFit], best: list[LawFit], sources: list[str], nu: float
         names = ", ".join(one.plugin.name for one in best)
         told = "fits best" if len(best) == 1 else "fit about equally well (AICc within 2)"
         typer.echo(f"{names} {told}.")
-        typer.echo("AICc takes deviations as independent; neighbouring points of a curve deviate")
-        typer.echo("alike, so small differences mean little.")
+        typer.echo("AICc assumes independent deviations; those of neighbouring points on a curve")
+        typer.echo("are correlated, so small differences mean little.")
         typer.echo()
     chosen = best[0]
     constants = chosen.constants

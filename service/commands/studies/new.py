@@ -1,4 +1,4 @@
-"""`palpate new` writes a commented file to start from: a study, a diagnosis, an experiment."""
+"""The command `palpate new`."""
 
 from pathlib import Path
 from shlex import quote
@@ -43,11 +43,11 @@ def new(
     validated(Wanted, {"name": name}, "The name (letters, digits, '.', '_' and '-')")
     path = out or Path(f"{name}.yaml")
     if path.exists():
-        raise InputError(f"{path} is there already: choose another name, or give --out FILE.")
+        raise InputError(f"{path} already exists: choose another name, or give --out FILE.")
     if not path.parent.is_dir():
-        raise InputError(f"The folder {path.parent} does not exist: make it first.")
+        raise InputError(f"The folder {path.parent} does not exist: create it first.")
     write_file(path, template(_known(kind), name).encode())
     typer.echo(
-        f"Wrote {path}. Fill in the keys that are marked required, then: "
+        f"Wrote {path}. Fill in the keys marked required, then: "
         f"palpate {'diagnose' if kind in DIAGNOSED else 'run'} {quote(str(path))}"
     )

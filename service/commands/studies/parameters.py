@@ -1,4 +1,4 @@
-"""`palpate parameters` lists what a study file may hold or search."""
+"""The command `palpate parameters`."""
 
 from typing import Annotated, Any
 
@@ -37,7 +37,7 @@ def parameters(
     tissues = spec.case.law_tissues
     laws = list(law_names()) if tissues else []
     if law is not None and not laws:
-        raise InputError(f"A {organ} has one law, which a study does not choose: omit --law.")
+        raise InputError(f"A {organ} has only one law: omit --law.")
     shapes = [p for t in tissues if law is not None for p in law_named(law).constants(t)]
     named = [p for p in vocabulary if p.name not in of_effects]
     constants = [] if effects else [_parameter(p) for p in [*named, *shapes]]

@@ -1,4 +1,4 @@
-"""`palpate profile` holds one constant at several values and fits the others again."""
+"""The command `palpate profile`."""
 
 from dataclasses import asdict
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`palpate report` prints what a study has found, and writes its page."""
+"""The command `palpate report`."""
 
 import typer
 from rich.console import Console
@@ -18,8 +18,8 @@ from palpate.service.results.record import ParameterEstimate, StudyResults
 from palpate.service.study.observers.progress import clock
 
 ONLY_RATIOS = (
-    "Only ratios of the stiffnesses were found: the plates are at a known distance, and no force "
-    "or stiffness is stated. The values below have an arbitrary scale."
+    "Only stiffness ratios were found, because the plate distance is known but no force or "
+    "stiffness is stated. The values below have an arbitrary scale."
 )
 
 
@@ -35,7 +35,7 @@ def report(study: StudyArgument = None, as_json: JsonOption = False) -> None:
 
 
 def print_report(results: StudyResults, console: Console) -> None:
-    """Print estimates, scores and what was spent on a console."""
+    """Print estimates, scores and computing time on a console."""
     for text in results.caveats:
         console.print(text, soft_wrap=True)
     if results.identifiable == "ratio":
@@ -81,7 +81,7 @@ def _print_ratios(results: StudyResults, console: Console) -> None:
 
 
 def _estimates(results: StudyResults) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return headings and rows; columns of which nothing is known are left out."""
+    """Return headings and rows without empty columns."""
     known = results.identification
     polished = any(e.before_polish is not None for e in results.estimates.values())
     between = ("90 % interval",) * (known is not None) + ("before polish",) * polished
@@ -108,7 +108,7 @@ def _yes_no(e: ParameterEstimate) -> str:
 
 
 def _how_well(results: StudyResults) -> list[str]:
-    """Return sentences on what may not be quoted, and on how well the image determines the rest."""
+    """Return sentences on unquotable values and on how well the image determines the others."""
     texts = [
         f"Not quotable: {name}: {reason}."
         for name, e in results.estimates.items()
@@ -124,18 +124,18 @@ def _how_well(results: StudyResults) -> list[str]:
         if shares and results.estimates[name].interval is not None:
             texts.append(f"Standard deviation of {name} by source: {shares}.")
     if known.directions:
-        texts.append(f"Least known: {known.directions[-1].words}.")
+        texts.append(f"Least certain: {known.directions[-1].words}.")
     return texts
 
 
 def derived_text(one: DerivedEstimate) -> str:
-    """Return a derived value with its interval, and whether it may be quoted."""
+    """Return a derived value with its interval and quotability as text."""
     interval = "" if one.interval is None else f" ({_between(*one.interval)}, 90 %)"
     return f"{one.name}: {one.value:.4g} {one.unit}{interval}. {one.answer.sentence}."
 
 
 def _numbers(e: ParameterEstimate | RatioEstimate, unit: str) -> tuple[str, str, str]:
-    """Return estimate, target and error as texts."""
+    """Return estimate, target and error as text."""
     error = e.relative_error
     return (
         "-" if e.estimate is None else f"{number(e.estimate)}{unit}",

@@ -1,4 +1,4 @@
-"""`palpate run` starts a study, or continues it."""
+"""The command `palpate run`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -49,7 +49,7 @@ def run(
     """
     with interruptible():
         scheduler, processes = cluster_options(scheduler, workers)
-        # This takes seconds: Ctrl-C then says how to go on, as it does later.
+        # Imports take seconds; Ctrl-C must print how to continue even now.
         from palpate.service.commands.studies.running import Wanted, run_and_print
 
         wanted = Wanted(folder, store, accept_new_code, anyway or accept_implausible, as_json)

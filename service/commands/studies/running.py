@@ -1,4 +1,4 @@
-"""The work of `palpate run`, once its options are read."""
+"""The implementation of `palpate run`."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -75,13 +75,13 @@ def _warn(warning: str) -> None:
 
 @contextmanager
 def _shown(progress: Progress, page: LivePage) -> Iterator[None]:
-    """Show the progress, and keep the page of the running study up to date."""
+    """Show the progress, and keep the live page up to date."""
     with page, progress:
         yield
 
 
 def _write_page(home: Path, quick: bool) -> None:
-    """Write the page at the end of a run; a failure is no failure of the search."""
+    """Write the page at the end of a run; a failure does not affect the study."""
     try:
         note(f"page: {write_report(home, quick=quick)}")
     except PalpateError as error:

@@ -1,4 +1,4 @@
-"""`palpate schema` prints what a file may say, as a JSON schema for editors and programs."""
+"""The command `palpate schema`."""
 
 import json
 from pathlib import Path

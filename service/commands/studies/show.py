@@ -1,4 +1,4 @@
-"""`palpate show` prints one candidate."""
+"""The command `palpate show`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -46,17 +46,17 @@ def show(
 
 
 def _study_and_candidate(words: Sequence[str]) -> tuple[Path | None, int | None]:
-    """Return the study, if one is named, and the number of the candidate; None is the best.
+    """Return the study, if named, and the number of the candidate; None for the best.
 
     The candidate may come first, as it did in earlier versions.
     """
     if len(words) > 2:
-        raise InputError(f"Expected a study and a candidate, found {len(words)} words.")
+        raise InputError(f"Expected a study and a candidate, found {len(words)} arguments.")
     *study, candidate = words
     if study and not _is_candidate(candidate) and _is_candidate(study[0]):
         study, candidate = [candidate], study[0]
     if not _is_candidate(candidate):
-        raise InputError(f"{candidate!r} is no candidate: give its number, or best.")
+        raise InputError(f"{candidate!r} is not a candidate: give its number, or best.")
     return (Path(study[0]) if study else None), None if candidate == BEST else int(candidate)
 
 
@@ -65,7 +65,7 @@ def _is_candidate(word: str) -> bool:
 
 
 def _rows(record: Mapping[str, Any], indent: str = "") -> Iterator[tuple[str, str]]:
-    """Yield names and texts; records within are indented below their name."""
+    """Yield names and texts; nested records are indented below their name."""
     for name, value in record.items():
         if isinstance(value, Mapping) and set(value) == {"value", "unit"}:
             yield f"{indent}{name}", str(Quantity(value["value"], value["unit"]))

@@ -1,4 +1,4 @@
-"""`palpate simulate` computes one compression, outside of any search."""
+"""The command `palpate simulate`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -43,7 +43,7 @@ from palpate.workers.tasks.study_checks import check_case
 def simulate(
     study: Annotated[
         Path,
-        typer.Argument(help="Study file or study folder; a file with only name and case will do."),
+        typer.Argument(help="Study file or study folder; name and case in a file are enough."),
     ],
     constants: Annotated[
         list[str] | None,
@@ -65,8 +65,8 @@ def simulate(
 ) -> None:
     """Compress the body of a study once.
 
-    Constants that are not set keep the values of the case. Only constants that are stated or differ
-    from their neutral values are printed.
+    Other constants keep the values of the case. Only constants that are stated or differ from
+    their neutral values are printed.
     """
     check_suffix(out, solved_suffixes())
     named = load_case(study)

@@ -1,4 +1,4 @@
-"""`palpate status` says how far a study is, and what failed."""
+"""The command `palpate status`."""
 
 from dataclasses import asdict
 from shlex import join
@@ -59,7 +59,7 @@ def _rows(results: StudyResults) -> list[tuple[str, str]]:
 
 
 def unverified_text(records: int) -> str:
-    """Return how many records of a journal carry no checksum, and why."""
+    """Return a note on the records of a journal without a checksum."""
     return f"{records} without a checksum, written by an earlier version: they cannot be verified"
 
 
@@ -73,14 +73,14 @@ def _generations_text(results: StudyResults) -> str:
 
 
 def counts_text(results: StudyResults) -> str:
-    """Write how many evaluations ended in which way, and how many the store had already."""
+    """Return the number of evaluations by status, and of those reused, as text."""
     counts = asdict(results.counts)
     text = evaluations_text(counts, results.spec.most_evaluations)
     return f"{text}, {counts['reused']:,} from the store" if counts["reused"] else text
 
 
 def score_text(score: "Scores", objective: "Objective") -> str:
-    """Write a score for a reader."""
+    """Return a score as text."""
     return f"{objective.text(score)}, JC {score['jc']:.4f}, MHD {score['mhd_mm']:.4g} mm"
 
 

@@ -1,4 +1,4 @@
-"""`palpate strategies` measures how fast each search strategy finds the same targets."""
+"""The command `palpate strategies`."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -62,7 +62,7 @@ def strategies(
 
 
 def line(row: Reached) -> str:
-    """Write one study."""
+    """Return the result of one study as a line of text."""
     near = "never" if row.until_near is None else f"{row.until_near:4d} evaluations"
     errors = ", ".join(f"{gene} {100 * e:+.2f} %" for gene, e in row.errors.items())
     return (
@@ -72,7 +72,7 @@ def line(row: Reached) -> str:
 
 
 def summary(rows: Sequence[Reached]) -> list[str]:
-    """Write a Markdown table with a line for each strategy."""
+    """Return a Markdown table with a line for each strategy."""
     head = (
         "| strategy | targets | evaluations to both moduli within 2 % (median, most) | "
         "core-s to there (median) | evaluations in all (median) | GSF (median) | "

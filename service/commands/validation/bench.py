@@ -1,4 +1,4 @@
-"""`palpate bench` measures how long each stage takes on this machine."""
+"""The command `palpate bench`."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -49,7 +49,7 @@ def bench(
     import tempfile
 
     if service and diagnosis is not None:
-        raise InputError("--service and --diagnosis are two measurements: give one of them.")
+        raise InputError("--service and --diagnosis exclude each other: give one of them.")
     if service:
         bench_service(evaluations, as_json=as_json)
         return
@@ -70,7 +70,7 @@ def bench(
 
 
 def bench_service(evaluations: int, *, as_json: bool) -> None:
-    """Measure what is not simulation, and print each figure when it is known."""
+    """Measure everything but simulations, and print each figure once it is known."""
     rows = []
     for row in all_rows(evaluations):
         rows.append(row)
@@ -81,7 +81,7 @@ def bench_service(evaluations: int, *, as_json: bool) -> None:
 
 
 def bench_diagnosis(source: Path, *, as_json: bool) -> None:
-    """Measure the tasks of a diagnosis, and print each phase when it has ended."""
+    """Measure the tasks of a diagnosis, and print each phase when it ends."""
     import tempfile
 
     def tell(phase: PhaseTimes) -> None:
@@ -103,7 +103,7 @@ def bench_diagnosis(source: Path, *, as_json: bool) -> None:
 
 
 def line(row: Row) -> str:
-    """Write one row of the table."""
+    """Return one row of the table as text."""
     size = row.size if row.nodes is None else f"{row.size} ({row.nodes})"
     small = row.seconds < 1e-3
     time = f"{row.seconds * 1e6:10.2f} us" if small else f"{row.seconds:10.4f} s "
@@ -118,7 +118,7 @@ def numbers(text: str, option: str, kind: type[Number]) -> list[Number]:
     Raises
     ------
     InputError
-        If it does not read so.
+        If it is malformed.
     """
     try:
         values = [kind(part) for part in text.split(",")]

@@ -1,4 +1,4 @@
-"""`palpate blind` makes cases with a sealed truth, has them diagnosed, then scores them."""
+"""The commands of `palpate blind`."""
 
 from collections.abc import Callable
 from enum import StrEnum
@@ -50,7 +50,7 @@ app = typer.Typer(
 
 
 class Which(StrEnum):
-    """Scans that a diagnosis is shown."""
+    """Scans given to a diagnosis."""
 
     all = "all"
     y = "y"
@@ -166,7 +166,7 @@ def run(
     sealed = seal_answers(answering)
     if sealed is None:
         left = len(unanswered(answering))
-        typer.echo(f"{of - left} of {of} cases are answered; the same command goes on.")
+        typer.echo(f"{of - left} of {of} cases are answered; the same command continues.")
         return
     typer.echo(f"answers: sha256 {sealed}")
     typer.echo(f"next: palpate blind score {quote(str(folder))}" + _directions(directions))
@@ -195,8 +195,8 @@ def score(
     """Score the sealed answers of sets against their truths."""
     if truth is not None and len(folders) > 1:
         raise InputError(
-            f"--truth names the truths of one set, found {len(folders)} sets. Leave it out where "
-            "they lie beside their sets, as SET-truth, or score one set at a time."
+            f"--truth names the truths of one set, found {len(folders)} sets. Omit it if "
+            "they are next to their sets, as SET-truth, or score one set at a time."
         )
     sets = [BlindSet(folder) for folder in folders]
     opened = [(blind, Truths(truth or blind.truth_beside())) for blind in sets]
@@ -214,11 +214,11 @@ def score(
 
 
 def _refuse_nested(folder: Path, truth: Path) -> None:
-    """Keep the truths out of the set, which is handed on, and the set out of the truths."""
+    """Refuse truths inside the set, which is passed on, and a set inside the truths."""
     a, b = folder.absolute().resolve(), truth.absolute().resolve()
     if a == b or a in b.parents or b in a.parents:
         raise InputError(
-            f"The truths must lie outside of the set: found {truth} and {folder}. Give another "
+            f"The truths must be outside the set: found {truth} and {folder}. Give another "
             "folder by --truth."
         )
 
@@ -226,7 +226,7 @@ def _refuse_nested(folder: Path, truth: Path) -> None:
 def _with_workers(
     work: Callable[[Dispatcher, Console], None], scheduler: str | None, workers: Workers | None
 ) -> None:
-    """Do something with a cluster; leave with 130 if the user asks to stop."""
+    """Run a function with a cluster; exit with 130 if the user asks to stop."""
     with interruptible(), session(scheduler, workers) as opened:
         work(opened.dispatcher, progress_console())
 
@@ -241,7 +241,7 @@ def _write(page: Path, scored: ScoredSet) -> None:
 
 def _put_into(text: Path, scored: ScoredSet) -> None:
     if not text.is_file():
-        raise InputError(f"--into {text}: there is no such file. Give a text with the two marks.")
+        raise InputError(f"--into {text}: no such file. Give a text file with the two marks.")
     write_file(text, filled(text.read_text(encoding="utf-8"), scored).encode())
 
 

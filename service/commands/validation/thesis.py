@@ -1,4 +1,4 @@
-"""`palpate thesis` runs the experiments of the thesis and binds them as a book."""
+"""The command `palpate thesis`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -95,7 +95,7 @@ def _request(
 ) -> ThesisRequest:
     if name not in (*EXPERIMENTS, *EVERYTHING):
         raise InputError(
-            f"There is no experiment {name}. Name one of {', '.join(EXPERIMENTS)}, or all."
+            f"There is no experiment {name}. Choose one of {', '.join(EXPERIMENTS)}, or all."
         )
     if full and sketch:
         raise InputError("--full and --sketch exclude each other: give one of them.")
@@ -126,7 +126,7 @@ def _show(request: ThesisRequest, name: str, as_json: bool) -> None:
 
 
 def print_verdicts(results: ThesisResults, console: Console) -> None:
-    """Print every number of the thesis that was run, beside ours."""
+    """Print the published values of the experiments that were run, next to ours."""
     rows = [
         (v.place, v.what, v.printed, v.found, v.word)
         for v in verdicts(results)

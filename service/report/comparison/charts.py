@@ -1,4 +1,4 @@
-"""Charts of a comparison: the constants of all studies, and how their scores fell."""
+"""Charts of a comparison: the constants of all studies, and the convergence of their scores."""
 
 import math
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ def constants(comparison: StudyComparison, gene: str, width: float) -> Svg:
 
 
 def convergence(comparison: StudyComparison, width: float) -> Svg:
-    """Draw the lowest score of every study over the number of evaluations, which is logarithmic."""
+    """Draw the lowest score of every study over the number of evaluations, on a log axis."""
     svg = Svg(width, 340.0)
     items: list[tuple[Mark, str, str]] = [
         ("line", _line(n), _short(study.label)) for n, study in enumerate(comparison.studies)
@@ -86,7 +86,7 @@ def _row(svg: Svg, scale: Scale, e: ParameterEstimate, y: float) -> None:
 
 
 def _scale(estimates: Sequence[ParameterEstimate], start: float, end: float) -> Scale:
-    """Return an axis around all estimates, intervals and targets, within what was searched."""
+    """Return an axis around all estimates, intervals and targets, within the search bounds."""
     if not estimates:
         return Scale(0.0, 1.0, start, end)
     shown: list[float] = []
@@ -102,7 +102,7 @@ def _scale(estimates: Sequence[ParameterEstimate], start: float, end: float) -> 
 
 
 def _steps(study: ComparedStudy, across: Scale, up: Scale) -> list[tuple[float, float]]:
-    """Return the corners of a curve that falls in steps; infinite scores are left out."""
+    """Return the corners of a descending step curve, without infinite scores."""
     places: list[tuple[float, float]] = []
     for index, score in enumerate(study.lowest_scores):
         if not math.isfinite(score):
@@ -137,12 +137,12 @@ def _line(n: int) -> str:
 
 
 def _short(name: str) -> str:
-    """Return the end of a long label, where folders differ."""
+    """Return the end of a long label, where the names of folders differ."""
     return name if len(name) <= MOST_LETTERS else f"…{name[-MOST_LETTERS + 1 :]}"
 
 
 def constants_words(comparison: StudyComparison, gene: str) -> str:
-    """Return a chart of constants in words, for those who cannot see it."""
+    """Return the alternative text of a chart of constants."""
     texts = []
     for study in comparison.studies:
         e = comparison.estimate(study, gene)

@@ -1,4 +1,4 @@
-"""The page of a comparison of studies: one file, which needs no other."""
+"""The page of a comparison of studies, in one self-contained file."""
 
 import json
 import math
@@ -26,7 +26,7 @@ def write_comparison(comparison: StudyComparison, path: Path) -> Path:
 
 
 def render(comparison: StudyComparison) -> str:
-    """Return the page as text; an equal comparison gives the same bytes."""
+    """Return the page as text; equal comparisons give the same bytes."""
     values = {
         "title": f"{len(comparison.studies)} studies",
         "lead": ", ".join(study.label for study in comparison.studies),
@@ -97,7 +97,7 @@ def setting_rows(comparison: StudyComparison) -> list[tuple[str, list[str]]]:
 
 
 def reason_rows(comparison: StudyComparison) -> list[str]:
-    """Return why estimates may not be quoted, one sentence each."""
+    """Return a sentence for each estimate that may not be quoted."""
     return [
         f"{study.label}, {e.gene}: {'; '.join(e.reasons)}."
         for study in comparison.studies

@@ -1,4 +1,4 @@
-"""Arrows from where the points of a bench experiment are to where the models put them."""
+"""Arrows from measured to predicted points of a bench experiment."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -15,31 +15,31 @@ from palpate.storage.stores.arrays import Arrays
 from palpate.storage.values import FloatArray
 from palpate.workers.diagnosis.problem.force_readings import FORCE
 
-# Below this width views stand one below the other.
+# Below this width views are stacked.
 NARROW = 600.0
 HIGHEST_PX, APART_PX, RIGHT_PX = 340.0, 24.0, 8.0
-# Around the points, as a part of the longest side of the body, beyond the longest arrow.
+# Margin around the points beyond the longest arrow, relative to the longest side of the body.
 MARGIN = 0.03
-# The longest arrow, as a part of the longest side of the body.
+# The longest arrow, relative to the longest side of the body.
 LONGEST = 0.12
-# Of fewer points a table says as much.
+# With fewer points a table is enough.
 LEAST_POINTS = 12
-# At most so many states are drawn, those that are farthest off, and so many of their points.
+# Maximum number of states drawn, those with the largest misfit, and of their points.
 STATES, POINTS = 6, 400
 HEAD_OF_ARROW_PX, HEAD_ANGLE = 4.5, 0.45
 
 
 @dataclass(frozen=True, eq=False)
 class Misfits:
-    """What models leave at the points of all states.
+    """Residuals of the models at the points of all states.
 
     Parameters
     ----------
     points : ndarray, shape (k, 3)
-        At rest, in mm.
+        Points at rest, in mm.
     before, after : ndarray, shape (s, k, 3)
-        From where a point is to where the nominal model, and the one with the effect, put it;
-        `after` is None where no effect is accused.
+        From measured to predicted points, for the nominal model and the one with the effect;
+        `after` is None if no effect is accused.
     """
 
     points: FloatArray
@@ -48,7 +48,7 @@ class Misfits:
 
 
 def misfits_of(maps: Arrays) -> Misfits:
-    """Return them from the maps of a diagnosis, whose rows are components of points."""
+    """Return the residuals from the maps of a diagnosis, whose rows are components of points."""
     place = maps["interface"] != FORCE
     axis, points = maps["interface"][place].astype(int), maps["points"][place]
     first = np.ones(len(axis), bool)
@@ -56,7 +56,7 @@ def misfits_of(maps: Arrays) -> Misfits:
     point = np.cumsum(first) - 1
 
     def at_points(rows: FloatArray) -> FloatArray:
-        """Return components as arrows; one that was not compared is 0."""
+        """Return components as arrows; unmeasured components are 0."""
         found = np.zeros((len(rows), int(first.sum()), 3))
         found[:, point, axis] = rows[:, place]
         return found
@@ -70,7 +70,7 @@ def misfits_of(maps: Arrays) -> Misfits:
 def arrow_pictures(
     maps: Arrays, states: Sequence[str], accused: str, noise_mm: float
 ) -> Iterator[Picture]:
-    """Yield a picture of each state, of no more than `STATES`: those that are farthest off.
+    """Yield pictures of at most `STATES` states, those with the largest misfit.
 
     Parameters
     ----------
@@ -78,9 +78,9 @@ def arrow_pictures(
         See `service.diagnosis.run.FinishedDiagnosis`; of a bench experiment.
     states : sequence of str
     accused : str
-        Words for the effect that ``after`` has.
+        Name of the effect in ``after``.
     noise_mm : float
-        Of a component; arrows that are all shorter than it stay short.
+        Noise of a component; arrows are not enlarged beyond it.
     """
     misfits = misfits_of(maps)
     if len(misfits.points) < LEAST_POINTS:
@@ -91,15 +91,15 @@ def arrow_pictures(
     for number in shown:
         longest = float(np.linalg.norm(misfits.before[number], axis=1).max())
         caption = (
-            f"{states[number]}: from where each point is to where the model puts it, drawn "
-            f"{times:g} times as long. With the nominal model that is {length(longest)} mm at "
-            f"most; noise is {length(noise_mm)} mm."
+            f"{states[number]}: arrows from the measured to the predicted points, drawn "
+            f"{times:g} times as long. With the nominal model the longest is {length(longest)} mm; "
+            f"noise is {length(noise_mm)} mm."
         )
         yield chart(partial(_state, misfits, number, times, accused), caption, caption)
 
 
 def enlarged(misfits: Misfits, noise_mm: float) -> float:
-    """Return how many times arrows are enlarged: 1, 2 or 5 times a power of ten."""
+    """Return the magnification of arrows: 1, 2 or 5 times a power of ten."""
     extent = float(np.ptp(misfits.points, axis=0).max())
     both = [misfits.before] if misfits.after is None else [misfits.before, misfits.after]
     longest = max(noise_mm, *(float(np.linalg.norm(one, axis=2).max()) for one in both))
@@ -135,7 +135,7 @@ def _state(misfits: Misfits, number: int, times: float, accused: str, width: flo
 def panels(
     points: FloatArray, views: Sequence[tuple[int, int]], width: float, top: float
 ) -> Iterator[Panel]:
-    """Yield where views of one scale lie: beside each other, or one below the other."""
+    """Yield the panels of views at one scale, side by side or stacked."""
     beside = width > NARROW and len(views) > 1
     frames = [_frame(points, view) for view in views]
     room = (width - APART_PX) / 2 - LEFT_PX if beside else width - LEFT_PX - RIGHT_PX
@@ -150,7 +150,7 @@ def panels(
 
 
 def _frame(points: FloatArray, view: tuple[int, int]) -> tuple[float, float, float, float]:
-    """Return what a view shows, in mm, with room for arrows."""
+    """Return the frame of a view in mm, with room for arrows."""
     extent = np.ptp(points, axis=0)
     room = (LONGEST + MARGIN) * float(extent.max())
     across, up = (points[:, axis] for axis in view)
@@ -173,7 +173,7 @@ def _arrows(svg: Svg, panel: Panel, points: FloatArray, moved: FloatArray, class
 
 
 def _head(dx: float, dy: float) -> str:
-    """Return the strokes of an arrow's head; none of one that is too short for it."""
+    """Return the strokes of an arrowhead, or none if the arrow is too short."""
     if math.hypot(dx, dy) < HEAD_OF_ARROW_PX:
         return ""
     back = math.atan2(-dy, -dx)

@@ -1,4 +1,4 @@
-"""Charts of a diagnosis: how large the gap is, what the evidence says, how probable a cause is."""
+"""Charts of a diagnosis: gap, evidence and probabilities of causes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,22 +9,22 @@ from palpate.service.report.drawing.svg import Mark, Scale, Svg, horizontal_axis
 from palpate.workers.diagnosis.schema.summary import GapEstimate, Summary
 
 NARROW = 600.0
-# What numbers at the end of a bar need.
+# Width of the number at the end of a bar.
 BESIDE_PX = 84.0
 BAR_PX = 15.0
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A gap before and after.
+    """A gap without and with the effect.
 
     Parameters
     ----------
     title : str
-        Of the scans that judge.
+        Name of the compared scans.
     before : GapEstimate
     after : GapEstimate or None
-        None where no effect is accused.
+        None if no effect is accused.
     """
 
     title: str
@@ -34,7 +34,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a refit gains over the nominal model, in nats; `field` is None if not tried."""
+    """Log evidence gained by a refit, in nats; `field` is None if not tried."""
 
     title: str
     gain: float
@@ -43,7 +43,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Cause:
-    """A cause, how probable it is, and whether the 90 % set holds it."""
+    """A cause, its probability, and whether it is in the 90 % set."""
 
     title: str
     probability: float
@@ -51,16 +51,16 @@ class Cause:
 
 
 def gap_rows(summary: Summary) -> list[Judged]:
-    """Return the gap of all scans, and of each scan judged by a fit to the others."""
+    """Return the gap of all scans, and of each scan held out of the fit."""
     gap, loaded = summary.gap_mm, "scans" if summary.markers is None else "states"
     rows = [Judged(f"all {loaded}, whatever the cause", gap.before, gap.after)]
     for name, held in (gap.held_out_each or {}).items():
-        rows.append(Judged(f"{name}, not fitted to it", held.before, held.after))
+        rows.append(Judged(f"{name}, held out of the fit", held.before, held.after))
     return rows
 
 
 def gaps(rows: Sequence[Judged], noise_mm: float, effect: str, width: float) -> Svg:
-    """Return bars of the gap with their intervals, and the noise that they stand on.
+    """Return bars of the gap with their intervals, and a line for the noise.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def gaps(rows: Sequence[Judged], noise_mm: float, effect: str, width: float) -> 
     noise_mm : float
         Root mean square noise of one point, drawn as a line.
     effect : str
-        Words for the effect in the legend; empty if there is none.
+        Name of the effect in the legend; empty if there is none.
     width : float
     """
     marks: list[tuple[Mark, str, str]] = [("box", "bar-before", "nominal model")]
@@ -90,10 +90,10 @@ def gaps(rows: Sequence[Judged], noise_mm: float, effect: str, width: float) -> 
 
 
 def evidence(rows: Sequence[Evidence], threshold: float, width: float) -> Svg:
-    """Return log evidence that each refit gains, and what a smooth field gains on top of it."""
+    """Return bars of the log evidence of each refit, and of an additional smooth field."""
     marks: list[tuple[Mark, str, str]] = [
         ("box", "bar-after", "effect"),
-        ("box", "bar-field", "smooth misfit on top of it"),
+        ("box", "bar-field", "additional smooth misfit"),
         ("dashed", "limit", "alarm"),
     ]
     ends = [row.gain + max(0.0, row.field or 0.0) for row in rows]
@@ -111,7 +111,7 @@ def evidence(rows: Sequence[Evidence], threshold: float, width: float) -> Svg:
 
 
 def probabilities(causes: Sequence[Cause], width: float) -> Svg:
-    """Return bars of the probable causes, those of the 90 % set in colour."""
+    """Return bars of the probable causes, with the 90 % set in colour."""
     marks: list[tuple[Mark, str, str]] = [
         ("box", "bar-after", "holds 90 % of the probability"),
         ("box", "bar-before", "others"),
@@ -125,7 +125,7 @@ def probabilities(causes: Sequence[Cause], width: float) -> Svg:
 
 
 class _Bars:
-    """A chart of horizontal bars with a title each: beside them, or above on narrow pages."""
+    """A chart of horizontal bars with titles to the left, or above on narrow pages."""
 
     def __init__(
         self,
@@ -154,7 +154,7 @@ class _Bars:
         )
 
     def middle(self, number: int) -> float:
-        """Return the y of the bars of a row."""
+        """Return the vertical position of a row."""
         return self.top + number * self.row_px + self.above + (self.row_px - self.above) / 2
 
     def bar(self, y: float, start: float, end: float, class_: str) -> None:

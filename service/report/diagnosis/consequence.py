@@ -18,7 +18,7 @@ from palpate.workers.diagnosis.schema.summary import Summary
 
 
 def quotable(summary: Summary) -> Markup:
-    """Return a sentence on which constants may be quoted and which not."""
+    """Return a sentence on the constants that may and may not be quoted."""
     if not summary.constants:
         return Markup("")
     judged = judged_constants(summary)
@@ -42,7 +42,7 @@ def quotable(summary: Summary) -> Markup:
 
 
 def _of_nominal_model(summary: Summary, judged: Mapping[str, JudgedConstant]) -> Markup:
-    """Return by how much the constants of the nominal model are off without the accused effects."""
+    """Return the errors of the nominal model's constants without the accused effects."""
     changes = [
         Markup("{} {}").format(symbol(n, "kPa"), percent(signed_error(c.after, c.before), 0))
         for n, c in summary.constants.items()
@@ -56,7 +56,7 @@ def _of_nominal_model(summary: Summary, judged: Mapping[str, JudgedConstant]) ->
 
 
 def next_step(summary: Summary, command: str) -> Markup:
-    """Return what to do next; `command` is what was typed, empty if it is not known."""
+    """Return the next step; `command` is the command line, empty if unknown."""
     source = command.removeprefix("palpate diagnose").strip()
     if summary.verdict == "no-gap":
         return Markup("Nothing needs to be added to the model.")
@@ -64,13 +64,17 @@ def next_step(summary: Summary, command: str) -> Markup:
         return Markup("Measure {}.").format(summary.next_acquisitions[0].name)
     if summary.verdict == "cannot-be-told-apart" and summary.markers is None:
         return Markup(
-            "Find the measurement that would tell the causes apart: <code>{}</code>"
+            "Find the measurement that would distinguish the causes: <code>{}</code>"
         ).format(f"palpate plan {source}".strip())
     if summary.verdict == "none-of-these":
-        return Markup("Look where model and data differ, and at what is not in the catalogue.")
+        return Markup(
+            "Check where model and data differ, and consider causes outside the catalogue."
+        )
     if is_lead(summary):
-        return Markup("Confirm {} by a scan under another load.").format(together(summary.primary))
-    return Markup("Put {} into the model, or measure it, and fit again.").format(
+        return Markup("Confirm {} with a scan under another load.").format(
+            together(summary.primary)
+        )
+    return Markup("Add {} to the model, or measure it, and refit.").format(
         together(summary.primary)
     )
 

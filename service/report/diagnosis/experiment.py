@@ -1,4 +1,4 @@
-"""What the page says of a bench experiment: its markers, what hides, states to come."""
+"""Tables for a bench experiment: markers, forces, absorbed effects and predictions."""
 
 import math
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ class MarkerRow:
 
 @dataclass(frozen=True)
 class ForceRow:
-    """One reading of a load cell, and what the model leaves of it, in N."""
+    """One reading of a load cell, and the residuals of the models, in N."""
 
     state: str
     place: str
@@ -45,7 +45,7 @@ class ForceRow:
 
 @dataclass(frozen=True)
 class StateRow:
-    """Misfit of all markers of a state, and how far two repeats differ."""
+    """Misfit of all markers of a state, and the difference between repeats."""
 
     state: str
     before: str
@@ -55,7 +55,7 @@ class StateRow:
 
 @dataclass(frozen=True)
 class HiddenRow:
-    """What a constant would be with an effect that it hides."""
+    """The value of a constant with and without an effect that it absorbs."""
 
     effect: str
     size: str
@@ -66,7 +66,7 @@ class HiddenRow:
 
 @dataclass(frozen=True)
 class ExpectedRow:
-    """Where a marker is expected in a state that was not measured."""
+    """The predicted position of a marker in a state that was not measured."""
 
     state: str
     name: str
@@ -75,7 +75,7 @@ class ExpectedRow:
 
 @dataclass(frozen=True)
 class ExpectedForceRow:
-    """The force in N that moves a region in a state that was not measured."""
+    """The predicted force in N on a region in a state that was not measured."""
 
     state: str
     place: str
@@ -127,7 +127,7 @@ def states(summary: Summary) -> list[StateRow]:
 
 
 def hidden(summary: Summary) -> list[HiddenRow]:
-    """Return a row for each constant that an effect which cannot be seen would change."""
+    """Return a row for each constant that an undetectable effect would change."""
     return [
         HiddenRow(
             spoken(one.name),
@@ -142,7 +142,7 @@ def hidden(summary: Summary) -> list[HiddenRow]:
 
 
 def expected(summary: Summary) -> list[ExpectedRow]:
-    """Return a row for each marker of each state to come."""
+    """Return a row for each marker of each predicted state."""
     least_mm = least_length(summary.gap_mm)
     return [
         ExpectedRow(state.state, point.name, _deviating(point, least_mm))
@@ -152,7 +152,7 @@ def expected(summary: Summary) -> list[ExpectedRow]:
 
 
 def expected_forces(summary: Summary) -> list[ExpectedForceRow]:
-    """Return a row for each force of each state to come."""
+    """Return a row for each force of each predicted state."""
     return [
         ExpectedForceRow(state.state, one.place, measured(one.force_n, one.sd_n, ""))
         for state in summary.predictions or ()

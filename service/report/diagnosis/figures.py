@@ -1,4 +1,4 @@
-"""Figures of a diagnosis for a notebook: how large the gap is, and how its residuals scatter."""
+"""Figures of a diagnosis for a notebook: the gap, and the distribution of residuals."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,7 +20,7 @@ NOISE = "noise of one point"
 
 
 def gap_figure(diagnosis: FinishedDiagnosis) -> Figure:
-    """Draw the gap with and without the cause beside the residuals that it is estimated from."""
+    """Draw the gap with and without the cause, next to the residuals."""
     summary = diagnosis.summary
     rows = len(gap_rows(summary))
     drawn = figure(9.2, max(3.0, 1.6 + 0.62 * rows))

@@ -1,4 +1,4 @@
-"""Writes a diagnosis as files: the record for programs, the page for readers."""
+"""Files of a diagnosis: the record for programs, and the page for readers."""
 
 import json
 from pathlib import Path
@@ -20,9 +20,9 @@ def write_diagnosis(
     ----------
     diagnosis : FinishedDiagnosis
     folder : Path
-        Made if it is not there.
+        Created if missing.
     origin : Origin, optional
-        How it was made, where that is known.
+        Provenance of the diagnosis, if known.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What is known of how a diagnosis was made, from its source and from what was asked."""
+"""Provenance of a diagnosis, from its source and request."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from palpate.workers.tasks.diagnosis_store import DiagnosisRequest
 
 @dataclass(frozen=True)
 class Origin:
-    """How a diagnosis was made, and the loads of its scans by name."""
+    """Provenance of a diagnosis, and the loads of its scans by name."""
 
     made: Made = field(default_factory=Made)
     loads: Mapping[str, Pressed] = field(default_factory=dict)
@@ -27,21 +27,21 @@ def origin_of(
     seconds: float | None,
     nodes: int | None = None,
 ) -> Origin:
-    """Return what the page says of where its numbers come from.
+    """Return the provenance of a diagnosis for its page.
 
     Parameters
     ----------
     source : Source
-        What was diagnosed.
+        Source of the diagnosis.
     request : DiagnosisRequest
     when : str
         Date and time, ISO 8601.
     command : str
-        What was typed.
+        Command line.
     seconds : float or None
-        How long it took; None if the store had it.
+        Run time; None if the diagnosis came from the store.
     nodes : int, optional
-        Of the mesh; by default those that were asked for.
+        Nodes of the mesh. Default: the requested number.
     """
     volumes = source.content.volumes
     inputs = [(f"{request.source.kind} {source.name}", request.source.digest)]

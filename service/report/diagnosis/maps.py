@@ -1,4 +1,4 @@
-"""Where model and scan differ: points of an interface, seen from three sides."""
+"""Maps of the gap: points of an interface, seen from three sides."""
 
 from collections.abc import Mapping
 
@@ -10,12 +10,12 @@ from palpate.service.report.drawing.slices import AXES
 from palpate.service.report.drawing.svg import Svg
 from palpate.storage.values import FloatArray
 
-# Residuals within so many standard deviations of the noise are drawn grey.
+# Residuals below this number of standard deviations are drawn grey.
 SIGNIFICANT = 2.0
 SMALLEST_RANGE_MM = 0.5
 LEAST_RANGE_NOISES = 10.0
 FAINT = "#d3d8de"
-# (across, up, along): columns of (x, y, z), and what a reader sees.
+# (across, up): columns of (x, y, z), and the title of the view.
 VIEWS = (
     (0, 1, "seen towards the chest wall"),
     (0, 2, "seen along y"),
@@ -23,15 +23,15 @@ VIEWS = (
 )
 WIDTH_PX = 998.0
 BAR_PX, HEAD_PX, LINE_PX = 100.0, 24.0, 16.0
-# Air around the points, as a share of their greatest extent.
+# Margin around the points, relative to their largest extent.
 MARGIN = 0.04
 BAR_LABEL = "model outside (+) or inside (−), mm"
-# Colours of the dots: so many levels on either side of zero.
+# Number of colour levels on either side of zero.
 LEVELS = 64
 
 
 def range_mm(before: FloatArray, noise: FloatArray) -> float:
-    """Return end of the colour scale: what 98 % of the significant residuals keep below."""
+    """Return the end of the colour scale: the 98 % quantile of the significant residuals."""
     loud = np.abs(before)[np.abs(before) >= SIGNIFICANT * noise]
     least = min(SMALLEST_RANGE_MM, LEAST_RANGE_NOISES * float(noise.max()))
     return max(least, float(np.quantile(loud, 0.98)) if loud.size else 0.0)
@@ -40,16 +40,16 @@ def range_mm(before: FloatArray, noise: FloatArray) -> float:
 def residual_map(
     points: FloatArray, rows: Mapping[str, FloatArray], noise: FloatArray, most_mm: float
 ) -> Svg:
-    """Return signed residuals of one interface in one scan.
+    """Return a map of the signed residuals of one interface in one scan.
 
     Parameters
     ----------
     points : ndarray, shape (k, 3)
-        In the scan at rest, in mm.
+        Points in the scan at rest, in mm.
     rows : mapping of str to ndarray, shape (k,)
-        Residuals in mm by the title of their row, one colour scale for all.
+        Residuals in mm by the title of their row, on one colour scale.
     noise : ndarray, shape (k,)
-        Standard deviation of each.
+        Standard deviations in mm.
     most_mm : float
         End of the colour scale.
     """

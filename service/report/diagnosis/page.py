@@ -1,4 +1,4 @@
-"""The page of a diagnosis: one file, which needs no other."""
+"""The page of a diagnosis, in one self-contained file."""
 
 import json
 from collections.abc import Iterator
@@ -44,27 +44,27 @@ from palpate.storage.plain import to_plain
 from palpate.workers.diagnosis.schema.summary import Summary
 from palpate.workers.organs.registry import DEFAULT, catalogue_of
 
-# Causes in the chart besides those of the 90 % set.
+# Number of causes in the chart in addition to the 90 % set.
 CAUSES = 8
-# A family is worth a sentence if it is more probable than not.
+# A family is mentioned if it is more probable than this.
 LIKELY = 0.5
 
 
 def render(diagnosis: FinishedDiagnosis, origin: Origin | None = None) -> str:
-    """Return the page as text; an equal diagnosis gives the same bytes.
+    """Return the page as text; equal diagnoses give the same bytes.
 
     Parameters
     ----------
     diagnosis : FinishedDiagnosis
     origin : Origin, optional
-        How it was made, where that is known.
+        Provenance of the diagnosis, if known.
     """
     values = context(diagnosis, origin or Origin())
     return filled("diagnosis.html.j2", values | {"contents": _contents(values)})
 
 
 def _contents(values: dict[str, object]) -> list[tuple[str, str]]:
-    """Return the sections that the page has, by their names in it."""
+    """Return the titles of the page's sections by their anchors."""
     marked = bool(values["markers"])
     there = {
         "markers": marked,
@@ -74,16 +74,16 @@ def _contents(values: dict[str, object]) -> list[tuple[str, str]]:
         "cause-map": bool(values["cause_map"]),
     }
     sections = (
-        ("gap", "How large the gap is"),
-        ("causes", "What may be the cause"),
+        ("gap", "Size of the gap"),
+        ("causes", "Possible causes"),
         ("constants", "The constants"),
         ("markers", "Where they differ"),
-        ("hidden", "What cannot be told apart"),
+        ("hidden", "What cannot be distinguished"),
         ("expected", "Other states"),
         ("maps", "Where they differ"),
-        ("cause-map", "Where the cause may lie"),
-        ("effects", "Every effect"),
-        ("unlisted", "Not in the catalogue"),
+        ("cause-map", "Where the cause may be"),
+        ("effects", "All effects"),
+        ("unlisted", "Outside the catalogue"),
         ("provenance", "How this was made"),
         ("glossary", "Glossary"),
         ("details", "Details"),
@@ -92,7 +92,7 @@ def _contents(values: dict[str, object]) -> list[tuple[str, str]]:
 
 
 def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
-    """Return all values of the template but the contents."""
+    """Return the values of the template except the contents."""
     summary, maps, scans = diagnosis.summary, diagnosis.maps, diagnosis.scans
     accused = together(summary.primary) if summary.primary else ""
     return {
@@ -147,7 +147,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
 
 
 def _not_simulated(summary: Summary) -> tuple[tuple[str, str], ...]:
-    """Return the causes without an effect; a summary states those of other organs."""
+    """Return the possible causes without an effect; for other organs they are in the summary."""
     if summary.not_simulated is None:
         return catalogue_of(DEFAULT).not_simulated
     return summary.not_simulated
@@ -163,14 +163,14 @@ def _lead(summary: Summary) -> str:
         points = len(summary.markers[0].points)
         return (
             f"Model and measurement were compared at {points} points in every loaded "
-            "state, after the constants had been fitted. The measurement alone makes one component "
-            f"err by {noise} mm; a gap is what differs beyond that. Intervals hold with 90 %."
+            "state, after the constants had been fitted. The measurement error of one component is "
+            f"{noise} mm; a gap is a difference beyond that. Intervals are 90 % intervals."
         )
     return (
         f"Model and scans were compared at {summary.points} points on {summary.compared}, "
         f"in every loaded scan, after the constants had been fitted. {_left_out(summary)}The "
-        f"segmentation alone makes a point err by {noise} mm; a gap is what differs beyond "
-        "that. Intervals hold with 90 %."
+        f"segmentation error of a point is {noise} mm; a gap is a difference beyond that. "
+        "Intervals are 90 % intervals."
     )
 
 
@@ -178,20 +178,20 @@ def _left_out(summary: Summary) -> str:
     if not summary.left_out:
         return ""
     return (
-        f"Of {summary.points + summary.left_out}, {summary.left_out} were left out, because some "
-        "scan does not show them clearly: tissue that one drawing has and another has not, or "
-        "strands too thin. "
+        f"Of {summary.points + summary.left_out} points, {summary.left_out} were left out, because "
+        "some scan does not show them clearly: tissue missing from one segmentation, or strands "
+        "that are too thin. "
     )
 
 
 def _advice(summary: Summary) -> str:
-    """Return what to do where the data do not decide."""
+    """Return advice if the data do not decide between causes."""
     if not undecided(summary) or summary.markers is not None or summary.next_acquisitions:
         return ""
     return (
-        "These scans do not decide. “palpate plan”, given the same folder, says which further "
-        "measurement would tell the causes apart best: another load, another direction, or the "
-        "same scans segmented once more."
+        "These scans do not decide between the causes. Run “palpate plan” on the same folder to "
+        "find the further measurement that would distinguish them best: another load, another "
+        "direction, or a second segmentation of the same scans."
     )
 
 
@@ -221,14 +221,14 @@ def _warnings(summary: Summary) -> Iterator[str]:
         yield f"The refit of {names} did not converge: its evidence is a lower bound."
     if summary.gap_mm.not_judged:
         yield (
-            f"What the effect leaves of {listed(summary.gap_mm.not_judged)} is not judged by a "
-            "fit to the other scans: they do not hold how large it is."
+            f"The gap of {listed(summary.gap_mm.not_judged)} with the effect is not checked by a "
+            "fit to the other scans, because they do not determine its magnitude."
         )
     share = summary.gap_mm.held_out_share
     if share is not None and share.low < 0:
         yield (
-            "On scans that it was not fitted to, the effect may leave as large a gap as the "
-            "nominal model: take the cause for a lead, not for a finding."
+            "On scans not used in the fit, the gap with the effect may be as large as with the "
+            "nominal model: treat this cause as a lead, not a finding."
         )
 
 
@@ -261,13 +261,13 @@ def _evidence_picture(summary: Summary) -> Picture | None:
 
 
 def _about_evidence(summary: Summary) -> str:
-    alone = "Each refit frees the constants and the effect together and simulates anew."
+    alone = "Each refit fits the constants and the effect together with new simulations."
     share = summary.explained_share
     if share is None or not summary.primary:
         return alone
     return (
-        f"{alone} Of what the best effect and a smooth misfit on top of it gain, the effect "
-        f"itself makes {100 * share:.0f} %."
+        f"{alone} The best effect accounts for {100 * share:.0f} % of the gain of the effect and "
+        "an additional smooth misfit."
     )
 
 
@@ -291,7 +291,7 @@ def _cause_picture(summary: Summary) -> Picture:
 def _about_causes(summary: Summary) -> str:
     named = [name for name in summary.set90 if name not in NOT_EFFECTS]
     if len(summary.primary) > 1 and summary.verdict == "effect":
-        held = f"{together(summary.primary)} together explain what no single effect does"
+        held = f"{together(summary.primary)} together explain more than any single effect"
     elif len(summary.set90) == 1:
         held = f"{spoken(summary.set90[0])} alone holds 90 % of the probability"
     else:

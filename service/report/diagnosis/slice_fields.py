@@ -18,21 +18,21 @@ MEANINGS = {
     "displacement": "displacement of the tissue in the model",
     "gap": "gap between model and scan, beyond the noise",
 }
-NEIGHBOURS = 12  # among which a displacement is interpolated
-NEAREST = 4  # the same of a gap
+NEIGHBOURS = 12  # number of points for interpolating a displacement
+NEAREST = 4  # the same for a gap
 MOST_VOXELS = 60_000
-BAND_MM = 2.0  # on both sides of an interface, where its gap is shown
+BAND_MM = 2.0  # distance from an interface within which its gap is shown
 
 
 def slice_fields(
     found: Arrays, scan: int, bodies: Mapping[str, Volume], models: Sequence[str]
 ) -> dict[str, Volume]:
-    """Return fields on the bodies that the models predict, by ``NAME:MODEL``.
+    """Return fields on the predicted bodies, by ``NAME:MODEL``.
 
     Parameters
     ----------
     found : dict of str to ndarray
-        Of the outcome; see `workers.diagnosis.outcome.pictures.drawings`.
+        Arrays of the outcome; see `workers.diagnosis.outcome.pictures.drawings`.
     scan : int
     bodies : mapping of str to Volume
         `Tissue` labels by model.
@@ -75,7 +75,7 @@ def _bands(found: Arrays, lattice: Volume) -> Iterator[tuple[BoolArray, BoolArra
 
 
 def _near(inside: BoolArray, lattice: Volume, reach_mm: float) -> BoolArray:
-    """Return the voxels that are inside or no farther than so much from it."""
+    """Return the voxels inside a body or within a distance of it."""
     if not inside.any():
         return inside
     away = distance_transform_edt(~inside, sampling=lattice.spacing_mm[::-1])

@@ -25,32 +25,32 @@ from palpate.service.report.drawing.svg import Svg
 from palpate.storage.values import BoolArray, Tissue, Triple, Volume
 
 WIDTH_PX = 998.0
-# One column of sections is no wider, and all of them no higher, lest they fill a screen.
+# Maximum width of a column of sections and maximum total height, in pixels.
 MOST_PX = (566.0, 576.0)
 RIGHT_PX, HEAD_PX = 8.0, 20.0
-# What the bar of a colour scale needs.
+# Width of the bar of a colour scale.
 BAR_PX = 96.0
 BODY, GLAND, QUIET = "#8a94a12e", "#8a94a180", "#8a94a170"
 # Labels of an overlay, and their colours.
 IN_BOTH, GLAND_IN_BOTH, TOO_MUCH, TOO_LITTLE = 1, 2, 3, 4
 OVERLAY = lookup({IN_BOTH: BODY, GLAND_IN_BOTH: GLAND, TOO_MUCH: VERMILION, TOO_LITTLE: BLUE})
-# Hues that mean neither "outside" nor "inside".
+# Hues other than those of "outside" and "inside".
 CAUSES = ("#0b4f3c", "#1b8a6b", "#a3cfc0", "#d0ccc8", "#d0a3c6", "#9b3a86", "#521047")
 SMALLEST_SCORE = 4.0
-# Labels of a map of causes: 0 where nothing is known, so many steps of its scale, and quiet ones.
+# Labels of a map of causes: 0 for unknown, the steps of its scale, and insignificant scores.
 STEPS = 253
 QUIET_LABEL = STEPS + 1
 
 
 def overlays(observed: Volume, predicted: Mapping[str, Volume], middle: Triple) -> Svg:
-    """Return what the model has too much and too little, in three sections of one scan.
+    """Return the differences between model and scan in three sections.
 
     Parameters
     ----------
     observed : Volume
         `Tissue` labels.
     predicted : mapping of str to Volume
-        On the lattice of `observed`, by the title of their column.
+        Volumes on the lattice of `observed`, by the title of their column.
     middle : tuple of float
         Point (x, y, z) in mm that the sections pass through.
     """
@@ -64,7 +64,7 @@ def overlays(observed: Volume, predicted: Mapping[str, Volume], middle: Triple) 
 
 
 def overlay_legend() -> list[tuple[str, str]]:
-    """(colour, meaning) of the colours of an overlay."""
+    """Return (colour, meaning) pairs of an overlay."""
     return [
         (VERMILION, "model outside: predicted, not in the scan"),
         (BLUE, "model inside: in the scan, not predicted"),
@@ -74,15 +74,15 @@ def overlay_legend() -> list[tuple[str, str]]:
 
 
 def compared(seen: Section, model: Section) -> Section:
-    """Return labels of an overlay, 0 where there is air.
+    """Return the labels of an overlay, 0 for air.
 
-    Too much of the body or of its glandular tissue is `TOO_MUCH`, too little `TOO_LITTLE`. The
-    sections must have one box.
+    Excess body or glandular tissue of the model is `TOO_MUCH`, missing tissue `TOO_LITTLE`. The
+    sections must have the same box.
     """
     labels = np.zeros(seen.values.shape, np.uint8)
     labels[_body(seen)] = IN_BOTH
     labels[_gland(seen) & _gland(model)] = GLAND_IN_BOTH
-    # Tissue that is missing altogether is also missing gland: the outline is drawn last.
+    # Completely missing tissue also counts as missing gland: the outline is drawn last.
     for of in (_gland, _body):
         labels[of(model) & ~of(seen)] = TOO_MUCH
         labels[of(seen) & ~of(model)] = TOO_LITTLE
@@ -97,13 +97,13 @@ def cause_sections(
     Parameters
     ----------
     maps : mapping of str to Volume
-        Scores on one lattice by the title of their column; nan where the scans tell nothing.
+        Scores on one lattice by the title of their column; nan where the scans are uninformative.
     body : Volume
         `Tissue` labels of the body at rest.
     at : tuple of float
         Point (x, y, z) in mm that the sections pass through.
     reached_by_noise : float
-        Level that noise alone exceeds somewhere in 5 of 100 cases; marked in the scale.
+        Level that noise alone exceeds somewhere in 5 of 100 cases; marked on the scale.
     """
     cuts = [_cut(body, view, at) for view in VIEWS]
     svg, grid = _grid(cuts, list(maps), BAR_PX)
@@ -139,7 +139,7 @@ def score_labels(scores: Volume, colours: ColourScale) -> Volume:
 
 
 def score_colours(colours: ColourScale) -> NDArray[np.uint8]:
-    """Return colours of the labels: grey where scores are small, clear where nothing is known."""
+    """Return colours of the labels: grey for small scores, transparent for unknown ones."""
     table = lookup({QUIET_LABEL: QUIET})
     middles = colours.end * (2 * (np.arange(STEPS) + 0.5) / STEPS - 1)
     table[1 : 1 + STEPS, :3] = np.rint(255 * colours.at(middles))
@@ -147,7 +147,7 @@ def score_colours(colours: ColourScale) -> NDArray[np.uint8]:
 
 
 class _Cut:
-    """A section of the body that others are laid over, its frame and its interfaces."""
+    """A section of the body as a background, with its frame and interfaces."""
 
     def __init__(self, view: View, seen: Section) -> None:
         self.view, self.seen, self.frame = view, seen, frame_mm([seen])
@@ -165,7 +165,7 @@ def _grid(
 ) -> tuple[Svg, list[list[Panel]]]:
     """Return a drawing with a row for each section and a column for each title.
 
-    All have one scale, as large as the page allows.
+    All have the same scale, as large as the page allows.
     """
     widest = max(right - left for left, right, _, _ in (cut.frame for cut in cuts))
     heights = [top - bottom for _, _, bottom, top in (cut.frame for cut in cuts)]
@@ -204,7 +204,7 @@ def _gland(shown: Section) -> BoolArray:
 
 
 def titled(maps: Mapping[str, object], accused: str) -> Iterator[tuple[str, str]]:
-    """(key, title) of "before" and "after", as far as they are there."""
+    """Yield (key, title) of "before" and "after", if present."""
     for key, title in (("before", "nominal model"), ("after", f"with {accused}")):
         if key in maps:
             yield key, title

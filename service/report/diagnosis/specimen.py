@@ -1,4 +1,4 @@
-"""Pictures of a specimen with its points: where they are, and where the models put them."""
+"""Pictures of a specimen with its measured and predicted points."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,9 +16,9 @@ from palpate.storage.stores.arrays import Arrays
 from palpate.storage.values import FloatArray
 from palpate.workers.diagnosis.schema.summary import Summary
 
-# At most so many states are drawn, those that are farthest off, and so many of their points.
+# Maximum number of states drawn, those with the largest misfit, and of their points.
 STATES, POINTS = 3, 200
-# A movement smaller than this part of the body is drawn enlarged, up to this part.
+# Movements smaller than this fraction of the body are enlarged, up to this fraction.
 LARGEST = 0.12
 MODELS = ("before", "after")
 
@@ -32,11 +32,11 @@ class Movement:
     state : str
     rest : ndarray, shape (k, 3)
     moved : mapping of str to ndarray, shape (k, 3)
-        Displacements: ``measured``, ``before`` and, where an effect is accused, ``after``.
+        Displacements: ``measured``, ``before`` and, if an effect is accused, ``after``.
     edges_rest : ndarray, shape (e, 2, 3)
         Sharp edges of the body.
     edges : mapping of str to ndarray, shape (e, 2, 3)
-        As the models move them.
+        The edges as moved by the models.
     """
 
     state: str
@@ -47,13 +47,13 @@ class Movement:
 
     @property
     def misfit_mm(self) -> float:
-        """Root mean square of what the nominal model leaves."""
+        """Root mean square residual of the nominal model."""
         left = self.moved["before"] - self.moved["measured"]
         return float(np.sqrt(np.mean(left**2)))
 
 
 def specimen_pictures(maps: Arrays, summary: Summary, accused: str) -> Iterator[Picture]:
-    """Yield a picture of each state, of no more than `STATES`: those that are farthest off.
+    """Yield pictures of at most `STATES` states, those with the largest misfit.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def specimen_pictures(maps: Arrays, summary: Summary, accused: str) -> Iterator[
         See `service.diagnosis.run.FinishedDiagnosis`; of a bench experiment.
     summary : Summary
     accused : str
-        Words for the effect that ``after`` has.
+        Name of the effect in ``after``.
     """
     found = movements(maps, summary)
     for one in sorted(found, key=lambda m: -m.misfit_mm)[:STATES]:
@@ -69,14 +69,14 @@ def specimen_pictures(maps: Arrays, summary: Summary, accused: str) -> Iterator[
         farthest = float(np.linalg.norm(one.moved["measured"], axis=1).max())
         drawn = "to scale" if times == 1 else f"drawn {times:g} times as large"
         caption = (
-            f"{one.state}: the points where they were measured and where the models put them. "
+            f"{one.state}: measured and predicted points. "
             f"Movements are {drawn}; the largest measures {length(farthest)} mm."
         )
         yield chart(partial(_state, one, times, accused), caption, caption, list(_rows(one)))
 
 
 def movements(maps: Arrays, summary: Summary) -> list[Movement]:
-    """Return all states; none where the places of the points are not known."""
+    """Return all states; none if the places of the points are unknown."""
     places = maps.get("marker_points")
     if places is None or not summary.markers:
         return []
@@ -96,7 +96,7 @@ def movements(maps: Arrays, summary: Summary) -> list[Movement]:
             Movement(
                 state.state,
                 places[seen],
-                # A component that was not measured is drawn as one that has not moved.
+                # Unmeasured components are drawn without movement.
                 {name: np.nan_to_num(u[seen]) for name, u in models.items()},
                 rest_edges,
                 {w: maps[f"edges_{w}"][number] for w in MODELS if f"edges_{w}" in maps},
@@ -106,7 +106,7 @@ def movements(maps: Arrays, summary: Summary) -> list[Movement]:
 
 
 def enlarged(one: Movement) -> float:
-    """Return how many times movements are enlarged: 1, 2 or 5 times a power of ten, at least 1."""
+    """Return the magnification of movements: 1, 2 or 5 times a power of ten, at least 1."""
     extent = float(np.ptp(_at_rest(one), axis=0).max())
     farthest = max(float(np.linalg.norm(u, axis=1).max()) for u in one.moved.values())
     if not farthest > 0 or not extent > 0:

@@ -1,9 +1,8 @@
-"""Where model and scan differ, on the surfaces of the body at rest, in three dimensions.
+"""The gap on the surfaces of the body at rest, in three dimensions.
 
-Triangles are projected along parallel lines, the nearest is seen, and they are shaded by
-a lamp at the viewer's left shoulder. A triangle has the colour of the nearest point of
-its interface. All scans and models are seen from the same sides, so which triangle is
-where in the picture is found once.
+Triangles are projected orthographically with a depth buffer, and shaded by a light at the
+viewer's upper left. A triangle has the colour of the nearest point of its interface. All scans
+and models share the same views, so the visible triangle at each pixel is computed once.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +23,7 @@ from palpate.service.report.drawing.triangle_raster import front_triangles
 from palpate.storage.values import BoolArray, FloatArray, IntArray
 
 WIDTH_PX = 998.0
-# A triangle farther from every point has no colour: the rim at the chest wall, thin strands.
+# Triangles farther from every point have no colour: the rim at the chest wall, thin strands.
 FARTHEST_MM = 9.0
 UNKNOWN = "#f1f2f4"
 # Opposite corners of the body, both from the side of the nipple.
@@ -34,13 +33,13 @@ SIDES = (
 )
 MARGIN_MM = 2.0
 BAR_PX, BETWEEN_PX, HEAD_PX, WORDS_PX = 90.0, 6.0, 24.0, 40.0
-# Dots of an image on a pixel of the page, for screens that have as many.
+# Image pixels per page pixel, for high-resolution screens.
 DOTS = 1.875
-# How much of the light comes from everywhere.
+# Fraction of ambient light.
 AMBIENT = 0.72
-# Steps of the light, and edges without half tones, make an image a third as heavy.
+# Quantised light, and edges without antialiasing, make an image a third of the size.
 STEPS = 16
-# Length of the drawn axes, as a share of the longest side of the body.
+# Length of the drawn axes, relative to the longest side of the body.
 AXIS = 0.12
 ARROW_PX = 5.0
 
@@ -53,7 +52,7 @@ Residuals = Mapping[str, Mapping[str, tuple[FloatArray, FloatArray]]]
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """One interface, and the points at which its residuals are known.
+    """One interface and the points with known residuals.
 
     Parameters
     ----------
@@ -73,14 +72,14 @@ class Solid:
 
     @cached_property
     def nearest(self) -> tuple[NDArray[np.int64], BoolArray]:
-        """Return the point nearest to each triangle, and whether none is near."""
+        """Return the nearest point of each triangle, and whether none is near."""
         away, nearest = KDTree(self.points).query(self.vertices[self.triangles].mean(axis=1))
         return np.asarray(nearest), np.asarray(away > FARTHEST_MM)
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A solid from one side.
+    """A solid seen from one side.
 
     Parameters
     ----------
@@ -89,11 +88,11 @@ class Seen:
     view : tuple of ndarray
         See `basis`.
     panel : Panel
-        Where it lies in the first row of the drawing.
+        Its panel in the first row of the drawing.
     front : ndarray of int, shape (rows, columns)
-        The triangle at each dot of the panel, -1 where there is none.
+        The triangle at each pixel of the panel; -1 for none.
     light : ndarray, shape (m,)
-        By which the colours of the triangles are multiplied.
+        Factor of the colour of each triangle.
     """
 
     solid: Solid
@@ -105,7 +104,7 @@ class Seen:
 
 
 def seen_from_all_sides(solids: Sequence[Solid]) -> list[Seen]:
-    """Return every solid from both sides, on one scale that fills the width of the page."""
+    """Return every solid from both sides, at one scale that fills the width of the page."""
     views = [(solid, side, basis(way)) for solid in solids for side, way in SIDES]
     frames = [_frame(solid.vertices, across, up) for solid, _, (across, up, _) in views]
     room = WIDTH_PX - BAR_PX - BETWEEN_PX * len(views)
@@ -121,7 +120,7 @@ def seen_from_all_sides(solids: Sequence[Solid]) -> list[Seen]:
 
 
 def surface_map(seen: Sequence[Seen], residuals: Residuals, most_mm: float) -> Svg:
-    """Return the residuals of one scan, a row for each model.
+    """Return a map of the residuals of one scan, with a row for each model.
 
     Parameters
     ----------
@@ -164,9 +163,9 @@ def basis(towards_viewer: FloatArray) -> View:
 def colours_of(
     solid: Solid, residual: FloatArray, noise: FloatArray, colours: ColourScale
 ) -> FloatArray:
-    """Colour of each triangle before it is shaded, shape (m, 3).
+    """Return the unshaded colour of each triangle, shape (m, 3).
 
-    Grey where the nearest point lies within the noise, paler still where none is near.
+    Grey if the residual of the nearest point is within the noise, paler if no point is near.
     """
     nearest, unknown = solid.nearest
     shown = colours.at(residual)
@@ -206,15 +205,15 @@ def _light(solid: Solid, view: View) -> FloatArray:
 
 
 def _pixels(one: Seen, colours: FloatArray) -> NDArray[np.uint8]:
-    """Return the picture of shaded triangles, shape (rows, columns, 4), clear beside them."""
-    shaded = np.zeros((len(colours) + 1, 4), np.uint8)  # the last is no triangle
+    """Return an image of shaded triangles, shape (rows, columns, 4), elsewhere transparent."""
+    shaded = np.zeros((len(colours) + 1, 4), np.uint8)  # the last row is for no triangle
     shaded[:-1, :3] = np.rint(255 * colours * one.light[:, None])
     shaded[:-1, 3] = 255
     return shaded[one.front]
 
 
 def _triad(svg: Svg, panel: Panel, one: Seen) -> None:
-    """Draw the three axes of space, in the corner that a long body leaves."""
+    """Draw the coordinate axes in the free corner next to a long body."""
     across, up, _ = one.view
     vertices = one.solid.vertices
     length = AXIS * float(np.ptp(vertices, axis=0).max())

@@ -1,4 +1,4 @@
-"""The rows of a diagnosis' tables, ready to print."""
+"""Formatted table rows of a diagnosis."""
 
 import math
 from collections.abc import Iterable
@@ -24,7 +24,7 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True)
 class ConstantRow:
-    """A constant before and after an effect is taken into account, with its 90 % interval."""
+    """A constant without and with the effect, with its 90 % interval."""
 
     symbol: Markup
     before: str
@@ -37,7 +37,7 @@ class ConstantRow:
 
 @dataclass(frozen=True)
 class EffectRow:
-    """What is known of one effect; `hidden` if no data could show it, and then `why`."""
+    """One effect; `hidden` if no data could show it, and then `why`."""
 
     name: str
     summary: str
@@ -67,7 +67,7 @@ class RegionRow:
 
 @dataclass(frozen=True)
 class OverlapRow:
-    """How one interface of a scan is matched; pairs are the nominal model and the effect."""
+    """Overlap scores of one interface of a scan, as pairs: nominal model and effect."""
 
     scan: str
     interface: str
@@ -106,7 +106,7 @@ def _interval(ends: Bounds | None) -> str:
 
 
 def effects(found: Iterable[schema.EffectSummary], absorbed: Iterable[str]) -> list[EffectRow]:
-    """Return the most probable first; those that the constants hide at the end."""
+    """Return the effects by descending probability, absorbed ones last."""
     hidden = set(absorbed)
 
     def order(e: schema.EffectSummary) -> tuple[bool, float, float]:
@@ -158,7 +158,7 @@ def _pair(row: schema.OverlapRow, figure: str, digits: int) -> Pair:
 
 
 def _fixed(value: float | None, digits: int) -> str:
-    """Return a number with so many decimals; no number is a dash, and infinite ones have a sign."""
+    """Return a number with fixed decimals, a dash for none, and a sign for infinity."""
     if value is None or not math.isfinite(value):
         return number(value)
     return signed(value, digits)
@@ -167,7 +167,7 @@ def _fixed(value: float | None, digits: int) -> str:
 def _effect(e: schema.EffectSummary, hidden: bool) -> EffectRow:
     magnitudes = tuple((parameter_name(p.parameter, p.unit), magnitude(p)) for p in e.parameters)
     share = f"{100 * e.absorbed_share:.0f} %"
-    why = f"{share} of it looks like another choice of constants: the scans cannot show it"
+    why = f"the constants absorb {share} of it: the scans cannot show it"
     return EffectRow(
         spoken(e.name),
         e.summary,
@@ -182,7 +182,7 @@ def _effect(e: schema.EffectSummary, hidden: bool) -> EffectRow:
 
 
 def parameter_name(name: str, unit: str) -> str:
-    """Return the name of a parameter without its unit; of a logarithm, that of the ratio.
+    """Return the name of a parameter without its unit; for a logarithm, of the ratio.
 
     Examples
     --------

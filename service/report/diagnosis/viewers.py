@@ -1,4 +1,4 @@
-"""What the viewers of a diagnosis' page show: the gap on the body, and slices of every scan."""
+"""Data of the viewers on a diagnosis page: the gap on the body, and slices of every scan."""
 
 from collections.abc import Mapping, Sequence
 
@@ -32,27 +32,27 @@ OVERLAY = (
     ("in the scan, not predicted", "#107ac0ff"),
     ("predicted, not in the scan", "#d9651fff"),
 )
-# Neighbours by which a displacement is interpolated between points.
+# Number of neighbours for interpolating a displacement.
 NEIGHBOURS = 12
-# The same of a residual.
+# The same for a residual.
 NEAREST = 4
 
 
 def body_data(
     found: Arrays, scans: Sequence[str], accused: str, loads: Mapping[str, Pressed]
 ) -> Markup | None:
-    """Return what the 3-D viewer shows; None if the store has no surfaces.
+    """Return the data of the 3-D viewer; None if the store has no surfaces.
 
     Parameters
     ----------
     found : dict of str to ndarray
-        Of the outcome; see `workers.diagnosis.outcome.pictures.drawings`.
+        Arrays of the outcome; see `workers.diagnosis.outcome.pictures.drawings`.
     scans : sequence of str
         Names of the loaded scans.
     accused : str
-        Words for the effect; empty if there is none.
+        Name of the effect; empty if there is none.
     loads : mapping of str to Pressed
-        By the name of the scan, where they are known.
+        Known loads by the name of the scan.
     """
     if not on_surfaces(found):
         return None
@@ -80,8 +80,8 @@ def body_data(
         surfaces,
         told,
         models,
-        "model outside (+) or inside (−) of the scan, mean over some 8 mm; what noise would do is "
-        "drawn as nothing",
+        "model outside (+) or inside (−) of the scan, mean over about 8 mm; values within the "
+        "noise are drawn as zero",
         range_mm(found["local_before"], found["local_before_sd"]),
         first="gap",
     )
@@ -91,7 +91,7 @@ def body_data(
 def slice_data(
     found: Arrays, scans: Sequence[str], accused: str, loads: Mapping[str, Pressed]
 ) -> Markup | None:
-    """Return what the slice viewer shows; None if the store has no bodies.
+    """Return the data of the slice viewer; None if the store has no bodies.
 
     Parameters
     ----------
@@ -143,10 +143,10 @@ def _surface(found: Arrays, name: str) -> BodySurface:
 def _moved(
     found: Arrays, scans: int, surfaces: Sequence[BodySurface], models: Sequence[tuple[str, str]]
 ) -> list[list[dict[str, FloatArray]]]:
-    """Return where vertices go in each scan, by surface and model.
+    """Return the displaced vertices in each scan, by surface and model.
 
-    They are interpolated between the points of which that is known, in one call: most of its
-    time goes into finding neighbours, which are the same for all scans and models.
+    They are interpolated from the known points in one call, because most of the time is spent on
+    finding neighbours, which are the same for all scans and models.
     """
     points = np.asarray(found["points"], np.float64)
     known = [when for when, _ in models if f"moved_{when}" in found]

@@ -1,4 +1,4 @@
-"""The pictures of where model and scan differ, as far as the store has what they show."""
+"""Pictures of the gap, as far as the store has the data."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -18,7 +18,7 @@ from palpate.storage.values import BoolArray, FloatArray, Tissue, Triple, Volume
 from palpate.workers.diagnosis.problem.acquisition import INTERFACES
 from palpate.workers.diagnosis.schema.summary import CauseMapSummary
 
-# Fewer points of an interface make no map.
+# No map is drawn of an interface with fewer points.
 FEW_POINTS = 5
 PARTS = ("vertices", "triangles")
 
@@ -26,10 +26,10 @@ PARTS = ("vertices", "triangles")
 def maps(
     found: Arrays, scans: Sequence[str], accused: str, surfaces: Sequence[str]
 ) -> Iterator[Picture]:
-    """Return signed residuals of every scan, all in one colour scale.
+    """Yield maps of the signed residuals of every scan, on one colour scale.
 
-    On surfaces, averaged around each point, where the store has these; else as points seen
-    from three sides.
+    They are drawn on surfaces, averaged around each point, if the store has these; otherwise as
+    points seen from three sides.
     """
     own = {name: found["interface"] == number for number, name in enumerate(surfaces)}
     own = {name: mask for name, mask in own.items() if mask.sum() >= FEW_POINTS}
@@ -80,7 +80,7 @@ def on_surfaces(found: Arrays) -> bool:
 
 
 def sections(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Picture]:
-    """Return observed and predicted bodies of every scan that the store has."""
+    """Yield sections of the observed and predicted bodies of every scan in the store."""
     for scan, name in enumerate(scans):
         if f"labels_{scan}" not in found:
             continue
@@ -113,7 +113,7 @@ def cause_picture(found: Arrays, causes: CauseMapSummary | None, accused: str) -
 
 
 def cause_words(causes: CauseMapSummary) -> str:
-    """Return where the map is loudest, and whether that is more than noise."""
+    """Return the place of the highest score of the map, and whether it exceeds the noise."""
     before = causes.before
     way = "stiffer" if before.score > 0 else "softer"
     noise = before.reached_by_noise
@@ -136,7 +136,7 @@ def _beyond(said: str) -> str:
 
 
 def _loud(found: Arrays, scan: int, accused: str, own: BoolArray) -> str:
-    """Return share of the points that noise alone rarely puts so far."""
+    """Return the fraction of points beyond twice the noise, by model."""
     limit = SIGNIFICANT * found["noise"][scan, own]
     shares = {
         title: (np.abs(found[key][scan, own]) >= limit).mean()

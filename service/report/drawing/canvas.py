@@ -1,6 +1,6 @@
-"""Makes figures without global state: no pyplot, no display, the same bytes every time.
+"""Reproducible matplotlib figures without global state: no pyplot, no display.
 
-Text stays text, in the fonts of the page, so a figure is sharp at any size.
+Text is kept as text in the fonts of the page, so figures are sharp at any size.
 """
 
 import io
@@ -34,17 +34,17 @@ _THEMED = {
     VERMILION: "vermilion",
 }
 
-# Matplotlib reads these two settings from its global ones when it writes.
+# Matplotlib reads these two from its global settings when saving.
 _WRITING: Any = {"svg.fonttype": "none", "svg.hashsalt": "palpate"}
 _lock = threading.Lock()
-# Names of clips and markers are hashes of coordinates to the last bit, which the layout does
-# not always repeat.
+# Names of clips and markers are hashes of exact coordinates, which the layout does not always
+# reproduce.
 _NAMED = re.compile(r'\bid="([a-z][0-9a-f]{10})"')
 _FONT_LIST = re.compile(r"'DejaVu Sans'(?:, (?:'[^']*'|[\w-]+))*")
 
 
 class ShownFigure(Figure):
-    """A figure that notebooks show even where pyplot was never imported."""
+    """A figure that notebooks display without importing pyplot."""
 
     def _repr_png_(self) -> bytes:
         buffer = io.BytesIO()
@@ -53,20 +53,20 @@ class ShownFigure(Figure):
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure on whatever the page is made of."""
+    """Return an empty figure with a transparent background."""
     made = ShownFigure(figsize=(width_in, height_in), layout="constrained", facecolor="none")
     FigureCanvasSVG(made)
     return made
 
 
 def on_white(drawn: Figure) -> Figure:
-    """Return the figure with a white background, for a notebook of any colour."""
+    """Return the figure with a white background, for notebooks of any theme."""
     drawn.set_facecolor("white")
     return drawn
 
 
 def calm(axes: Axes, *, grid: str = "y") -> Axes:
-    """Take away from `axes` what says nothing; `grid` is "x", "y" or "both", or "" for none."""
+    """Remove the clutter of `axes`; `grid` is "x", "y", "both" or "" for none."""
     axes.set_facecolor("none")
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(GRID_EDGE)
@@ -98,7 +98,7 @@ def legend(axes: Axes, **options: Any) -> None:
 
 
 def svg(drawn: Figure) -> str:
-    """Return the figure as text, the same for the same figure."""
+    """Return the figure as SVG text, reproducibly."""
     buffer = io.StringIO()
     with _lock, mpl.rc_context(_WRITING):
         drawn.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
@@ -111,8 +111,8 @@ def svg(drawn: Figure) -> str:
 def inline_svg(drawn: Figure, label: str, width_px: int, *, on_paper: bool = False) -> Markup:
     """Return the figure as an element of a page, in the colours of the page's style sheet.
 
-    Its names are made its own, since all drawings of a page share them. A figure `on_paper` keeps
-    its own colours, on white, because it writes on coloured cells.
+    Its element names are made unique on the page. A figure `on_paper` keeps its own colours on
+    white, because it has text on coloured cells.
     """
     text = svg(drawn)
     own = f"f{zlib.crc32(text.encode()):08x}"
@@ -132,7 +132,7 @@ def inline_svg(drawn: Figure, label: str, width_px: int, *, on_paper: bool = Fal
 
 
 def limits(values: Sequence[float], margin: float = 0.06) -> tuple[float, float]:
-    """Return an interval around finite values, with room at both ends."""
+    """Return an interval around finite values, with margins."""
     low, high = min(values), max(values)
     room = margin * (high - low) or max(1.0, abs(high)) * margin
     return low - room, high + room

@@ -1,4 +1,4 @@
-"""Gives signed numbers their colours, and draws the bar that explains them."""
+"""Colour scales of signed numbers, and their colour bars."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ from palpate.service.report.drawing.raster import image_uri
 from palpate.service.report.drawing.svg import Scale, Svg, tick_text
 from palpate.storage.values import FloatArray
 
-# Both ends are as dark as each other, and the middle is not white, which is no colour on paper.
+# Both ends are equally dark; the middle is not white, which would vanish on paper.
 SIGNED = ("#053c5e", "#0072b2", "#9fc3dc", "#c9c5bd", "#eeb083", "#c44e00", "#6b2500")
-# Of lengths, from pale to dark.
+# For lengths, from pale to dark.
 SEQUENTIAL = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
 BAR_PX = 14.0
-# Ticks are no nearer to each other.
+# Minimum distance of ticks.
 TICK_PX = 20.0
-# Dots of the image that is stretched over the bar.
+# Pixels of the image stretched over the bar.
 BAR_DOTS = 128
 
 
@@ -31,7 +31,7 @@ class ColourScale:
     stops : sequence of str
         Colours #rrggbb at equal distances; linear in sRGB between them.
     end : float
-        Numbers beyond it have the colour of the end.
+        Numbers beyond it have the colour of the nearest end.
     """
 
     stops: Sequence[str]
@@ -65,14 +65,14 @@ def colour_bar(
     svg : Svg
     colours : ColourScale
     x : float
-        Its left edge in pixels.
+        Left edge in pixels.
     span : tuple of float
-        Its upper and lower end in pixels.
+        Upper and lower end in pixels.
     label : str
     arrows : bool
-        Whether numbers beyond the ends occur, which its pointed ends then tell.
+        Whether to draw pointed ends, for numbers beyond the scale.
     strokes : sequence of float
-        Numbers that are marked across it.
+        Numbers marked across the bar.
     """
     top, bottom = span
     if arrows:

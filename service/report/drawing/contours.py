@@ -1,4 +1,4 @@
-"""Finds the lines around the pixels of a mask."""
+"""Contours around the pixels of a mask."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ Line = NDArray[np.int64]
 def contours(inside: BoolArray) -> list[Line]:
     """Return the lines halfway between pixels inside and their neighbours outside.
 
-    Lines end where the mask ends; of a closed one, the last point is the first.
+    Lines end at the edge of the mask; the last point of a closed one equals the first.
 
     Parameters
     ----------
@@ -22,8 +22,7 @@ def contours(inside: BoolArray) -> list[Line]:
     Returns
     -------
     list of ndarray of int, shape (n, 2)
-        Points (across, up) where a line bends, in halves of a pixel from the centre of
-        ``inside[0, 0]``.
+        Vertices (across, up) in half pixels from the centre of ``inside[0, 0]``.
     """
     if min(inside.shape) < 2:
         return []
@@ -38,7 +37,7 @@ def _bends(line: Line) -> Line:
 
 
 def path_of(lines: list[Line]) -> str:
-    """Return lines as the data of an SVG path, in steps from point to point."""
+    """Return lines as the data of an SVG path, in relative steps."""
     commands = []
     for line in lines:
         (x, y), steps = line[0].tolist(), np.diff(line, axis=0).ravel().tolist()

@@ -15,10 +15,10 @@ from palpate.storage.values import FloatArray
 
 SIDE_IN = 2.05
 BINS = 40
-# Standard deviation in bins; removes the noise of some thousand draws.
+# Standard deviation of the smoothing, in bins; removes the noise of some thousand draws.
 SMOOTHING = 2.0
 SHARES = (0.9, 0.5)
-# Parts of all draws beyond the ends of an axis.
+# Fraction of the draws beyond the ends of an axis.
 TAIL = 0.002
 
 
@@ -29,14 +29,14 @@ class CornerVariable:
     Parameters
     ----------
     label : str
-        With its unit.
+        Name with unit.
     draws : ndarray, shape (n,)
     interval : (float, float)
         Shaded on the diagonal.
     estimate : float
         Drawn as a line.
     target : float or None
-        Drawn as a dashed line; None where the truth is not known.
+        Drawn as a dashed line; None if the truth is unknown.
     """
 
     label: str
@@ -47,7 +47,7 @@ class CornerVariable:
 
 
 def corner_plot(variables: Sequence[CornerVariable]) -> Figure:
-    """Draw histograms on the diagonal and, below it, contours that hold 50 % and 90 % of draws."""
+    """Draw histograms on the diagonal and, below it, contours of 50 % and 90 % of the draws."""
     count = len(variables)
     side = SIDE_IN * max(count, 1.6)
     drawn = figure(side, side * 0.94)
@@ -97,14 +97,14 @@ def _contours(axes: Axes, across: CornerVariable, up: CornerVariable) -> None:
 
 
 def _levels(density: FloatArray) -> list[float]:
-    """Return the densities above which `SHARES` of all draws lie, ascending."""
+    """Return the densities exceeded by `SHARES` of all draws, ascending."""
     ranked = np.sort(density.ravel())[::-1]
     held = np.cumsum(ranked) / max(float(ranked.sum()), 1e-300)
     return [float(ranked[np.searchsorted(held, share)]) for share in SHARES]
 
 
 def _range(one: CornerVariable) -> tuple[float, float]:
-    """Return the ends of an axis: nearly all draws, the estimate and the target."""
+    """Return the ends of an axis that contain nearly all draws, the estimate and the target."""
     known = [one.estimate, *one.interval, *np.quantile(one.draws, [TAIL, 1 - TAIL])]
     known += [] if one.target is None else [one.target]
     low, high = float(min(known)), float(max(known))

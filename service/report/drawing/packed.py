@@ -1,4 +1,4 @@
-"""Packs arrays into a page, for the viewers that its script shows."""
+"""Arrays packed into a page for its viewers."""
 
 import base64
 import json
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from palpate.storage.values import Triple, Volume
 
-# A volume of more voxels is thinned out: four million labels are some 300 kB in a page.
+# Larger volumes are subsampled: four million labels take about 300 kB in a page.
 MOST_VOXELS = 6_000_000
 TYPES: dict[str, np.dtype[Any]] = {
     "u1": np.dtype("u1"),
@@ -26,16 +26,16 @@ Json = dict[str, Any]
 
 
 def packed(values: NDArray[Any], kind: str) -> Json:
-    """Return an array as what the script's `unpack` takes: base64 of a zlib stream.
+    """Return an array for the script's `unpack`: base64 of a zlib stream.
 
     Parameters
     ----------
     values : ndarray
-        Of any shape; the script sees it flat.
+        Of any shape; the script receives it flat.
     kind : {"u1", "u2", "u4", "f4"}
     """
     raw = np.ascontiguousarray(values, TYPES[kind]).tobytes()
-    # Labels are long runs: to look for nothing else takes a tenth of the time and gives a seventh
+    # Labels are long runs: searching only for runs takes a tenth of the time and gives a seventh
     # more bytes.
     strategy = zlib.Z_RLE if kind == "u1" else zlib.Z_DEFAULT_STRATEGY
     stream = zlib.compressobj(9, strategy=strategy)
@@ -44,17 +44,17 @@ def packed(values: NDArray[Any], kind: str) -> Json:
 
 
 def packed_triangles(triangles: NDArray[np.integer]) -> Json:
-    """Return triangles in as few bytes as the number of their vertices allows."""
+    """Return triangles in the smallest integer type for their number of vertices."""
     return packed(triangles, "u2" if triangles.max(initial=0) < 2**16 else "u4")
 
 
 def packed_points(points: NDArray[np.floating]) -> Json:
-    """Return points in mm, to a hundredth of a millimetre, which compresses better."""
+    """Return points rounded to 0.01 mm, which compresses better."""
     return packed(np.round(points, 2), "f4")
 
 
 def packed_volume(volume: Volume, most: int = MOST_VOXELS) -> Json:
-    """Return a label volume; one that is too large for a page is thinned out.
+    """Return a label volume, subsampled if it is too large for a page.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def packed_volume(volume: Volume, most: int = MOST_VOXELS) -> Json:
 
 
 def thinned(volume: Volume, most: int = MOST_VOXELS) -> Volume:
-    """Return every nth voxel along each axis, so that there are at most so many."""
+    """Return every nth voxel along each axis, for at most `most` voxels."""
     step = 1
     while np.prod([-(-n // step) for n in volume.values.shape]) > most:
         step += 1
@@ -86,7 +86,7 @@ def thinned(volume: Volume, most: int = MOST_VOXELS) -> Volume:
 
 
 def body_box_mm(volume: Volume) -> tuple[Triple, Triple]:
-    """Return the lowest and the highest corner of what is not air, (x, y, z) in mm."""
+    """Return the lowest and highest corners of the body's box, (x, y, z) in mm."""
     low, high = [], []
     solid = volume.values != 0
     for axis in range(3):
@@ -99,7 +99,7 @@ def body_box_mm(volume: Volume) -> tuple[Triple, Triple]:
 
 
 def script(name: str, told: Mapping[str, Any]) -> Markup:
-    """Return data as an element of a page that the script finds by its name."""
+    """Return data as a page element that the script finds by name."""
     text = json.dumps(told, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     head = Markup('<script type="application/json" id="{}-data">').format(name)
     return head + Markup(text.replace("</", "<\\/")) + Markup("</script>")

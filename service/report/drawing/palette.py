@@ -1,6 +1,6 @@
-"""Defines colours that stay apart for readers who see fewer of them.
+"""Colours that readers with colour vision deficiency can distinguish.
 
-Charts take the blue, orange and greys of Okabe and Ito (2008). Tissues differ in
+Charts use the blue, orange and greys of Okabe and Ito (2008). Tissues differ in
 lightness as well as in hue, so that a page printed in grey can still be read.
 """
 
@@ -32,7 +32,7 @@ UNKNOWN = "#000000"
 
 
 class Difference(IntEnum):
-    """What a voxel of target and best candidate is."""
+    """Classes of voxels in the comparison of target and best candidate."""
 
     OUTSIDE = 0
     BODY = 1
@@ -41,7 +41,7 @@ class Difference(IntEnum):
     ONLY_BEST = 4
 
 
-# Greys are thin, so that they are calm on a light and on a dark page.
+# Greys are translucent, to suit light and dark pages.
 DIFFERENCES: dict[Difference, str] = {
     Difference.OUTSIDE: "#ffffff00",
     Difference.BODY: "#8a94a12e",
@@ -52,7 +52,7 @@ DIFFERENCES: dict[Difference, str] = {
 
 
 def lookup(colours: Mapping[int, str]) -> NDArray[np.uint8]:
-    """Return a table of 256 colours by label; labels without a colour are black, air is clear.
+    """Return a table of 256 colours by label; other labels are black, air is transparent.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def lookup(colours: Mapping[int, str]) -> NDArray[np.uint8]:
 
 
 def to_rgba(colour: str) -> tuple[float, float, float, float]:
-    """Return parts from 0 to 1 of a colour written #rrggbb or #rrggbbaa."""
+    """Return the components, 0 to 1, of a colour written #rrggbb or #rrggbbaa."""
     digits = colour.removeprefix("#").ljust(8, "f")
     r, g, b, a = (int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4, 6))
     return r, g, b, a

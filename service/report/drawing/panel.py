@@ -1,4 +1,4 @@
-"""Draws a part of space to scale, with axes in mm."""
+"""Panels that show a region of space to scale, with axes in mm."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from palpate.service.report.drawing.contours import Line, path_of
 from palpate.service.report.drawing.svg import Scale, Svg, tick_text
 
 Frame = tuple[float, float, float, float]
-# What the words around a panel need: ticks and a label on the left and below, a title above.
+# Margins of a panel: ticks and a label on the left and below, a title above.
 LEFT_PX, BELOW_PX, ABOVE_PX = 52.0, 42.0, 18.0
 TICK_PX = 4.0
 LINE_PX = 0.6
@@ -18,16 +18,16 @@ TICKS = 5
 
 @dataclass(frozen=True)
 class Panel:
-    """A frame in space, and where it lies on a drawing.
+    """A frame in space and its place in a drawing.
 
     Parameters
     ----------
     frame_mm : tuple of float
         Left, right, bottom and top.
     x, y : float
-        Pixel of its left upper corner.
+        Upper left corner in pixels.
     per_mm : float
-        Pixels of a mm.
+        Pixels per mm.
     """
 
     frame_mm: Frame
@@ -37,18 +37,18 @@ class Panel:
 
     @property
     def across(self) -> Scale:
-        """Return the axis to the right."""
+        """Return the horizontal axis."""
         left, right, _, _ = self.frame_mm
         return Scale(left, right, self.x, self.x + self.per_mm * (right - left))
 
     @property
     def up(self) -> Scale:
-        """Return the axis upwards."""
+        """Return the vertical axis."""
         _, _, bottom, top = self.frame_mm
         return Scale(bottom, top, self.y + self.per_mm * (top - bottom), self.y)
 
     def image(self, svg: Svg, address: str, extent_mm: Frame, **attributes: object) -> None:
-        """Draw an image whose edges lie at `extent_mm`."""
+        """Draw an image with its edges at `extent_mm`."""
         left, right, bottom, top = extent_mm
         x, y = self.across.at(left), self.up.at(top)
         svg.add(
@@ -69,12 +69,12 @@ class Panel:
         spacing_mm: tuple[float, float],
         origin_mm: tuple[float, float],
     ) -> None:
-        """Draw lines between pixels of a section, whose first one has its centre at the origin."""
+        """Draw lines between pixels of a section; the origin is the centre of its first pixel."""
         if not lines:
             return
         (dx, dy), (x, y) = spacing_mm, origin_mm
-        # Points are halves of a pixel of the section; steps between tenths of a pixel of the
-        # drawing are short to write.
+        # Points are in half pixels of the section; integer steps in tenths of a drawing pixel are
+        # compact.
         tenths = 10 * self.per_mm * np.array([dx, dy]) / 2
         svg.add(
             "path",

@@ -1,4 +1,4 @@
-"""Puts drawings into a page, with the words that go with them."""
+"""Drawings in a page, with alternative texts and captions."""
 
 import json
 import math
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Row = Sequence[str | float | None]
 SCREEN_DPI = 96
-# Widths in pixels of the two forms of a chart; the style sheet shows the one that fits.
+# Widths in pixels of the two forms of a chart; the style sheet selects the one that fits.
 WIDE_PX, NARROW_PX = 980.0, 400.0
 
 
@@ -27,11 +27,11 @@ class Picture:
     ----------
     svg : Markup
     alt : str
-        What it shows, in words.
+        Alternative text.
     width_px : int
     caption : str or Markup
     table : str or Markup
-        Its numbers, which the page saves as CSV; see `table_of`.
+        Its numbers, for saving as CSV; see `table_of`.
     """
 
     svg: Markup
@@ -44,8 +44,8 @@ class Picture:
 def picture(
     drawn: "Figure", alt: str, caption: str | Markup = "", *, on_paper: bool = False
 ) -> Picture:
-    """Put a figure of matplotlib into the page; see `service.report.drawing.canvas.inline_svg`."""
-    # Loads matplotlib, which most pages do without.
+    """Return a matplotlib figure as a picture; see `service.report.drawing.canvas.inline_svg`."""
+    # Loads matplotlib, which most pages do not need.
     from palpate.service.report.drawing.canvas import inline_svg
 
     width = round(SCREEN_DPI * drawn.get_figwidth())
@@ -59,18 +59,18 @@ def chart(
     rows: Sequence[Row] = (),
     **data: str,
 ) -> Picture:
-    """Draw a chart twice, for wide and for narrow pages; `rows` are its numbers, names first."""
+    """Draw a chart twice, for wide and narrow pages; `rows` are its numbers, header first."""
     both = draw(WIDE_PX).markup(alt, "wide", **data) + draw(NARROW_PX).markup(alt, "narrow", **data)
     return Picture(both, alt, round(WIDE_PX), caption, table_of(rows))
 
 
 def small_chart(drawn: Svg, alt: str, caption: str | Markup = "", **data: str) -> Picture:
-    """Put a chart into the page that is drawn once, for wide and narrow pages alike."""
+    """Return a chart that is drawn once, for wide and narrow pages."""
     return Picture(drawn.markup(alt, **data), alt, round(drawn.width), caption)
 
 
 def table_of(rows: Sequence[Row]) -> Markup:
-    """Return rows as an element that the page's script reads; nothing of none."""
+    """Return rows as an element for the page's script; empty if there are none."""
     if not rows:
         return Markup("")
     plain = [[None if _is_unknown(cell) else cell for cell in row] for row in rows]

@@ -1,4 +1,4 @@
-"""The plates between which a body lies, as lines in a section."""
+"""The plates around a body, as lines in a section."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from palpate.storage.values import Triple, Volume
 
 Line = tuple[tuple[float, float], tuple[float, float]]
 Frame = tuple[float, float, float, float]
-# A plate that a section meets at less than some 3 degrees is drawn nowhere.
+# Plates at less than about 3 degrees to a section are not drawn.
 LEAST_SINE = 0.05
 
 
@@ -22,7 +22,7 @@ class Plates:
     axis : tuple of float
         Unit vector from the lower to the upper plate.
     heights_mm : tuple of float
-        Of the lower and the upper plate along it.
+        Heights of the lower and the upper plate along the axis.
     """
 
     axis: Triple
@@ -31,7 +31,7 @@ class Plates:
     def lines(
         self, view: View, at_mm: float, frame_mm: Frame, outwards_mm: float = 0.0
     ) -> list[Line]:
-        """Return where the plates cross a section, from edge to edge of a frame.
+        """Return the intersections of the plates with a section, from edge to edge of a frame.
 
         Parameters
         ----------
@@ -41,7 +41,7 @@ class Plates:
         frame_mm : tuple of float
             Left, right, bottom and top.
         outwards_mm : float
-            How far the lines are moved off the body, whose skin they would hide.
+            Distance of the lines from the body, so as not to hide its skin.
         """
         a, b = self.axis[view.across], self.axis[view.up]
         if np.hypot(a, b) < LEAST_SINE:
@@ -59,7 +59,7 @@ class Plates:
 
 
 def plates_touching(body: Volume, axis: Triple) -> Plates:
-    """Return the planes at both ends of a body of labels along an axis."""
+    """Return the planes at both ends of a labelled body along an axis."""
     along = np.asarray(axis) / np.linalg.norm(axis)
     solid = body.values != 0
     heights = np.zeros(())

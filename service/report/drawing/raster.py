@@ -1,4 +1,4 @@
-"""Writes images as small PNG (W3C, Portable Network Graphics), which can stand in a page."""
+"""Small PNG images (W3C, Portable Network Graphics) for embedding in a page."""
 
 import base64
 import struct
@@ -11,7 +11,7 @@ INDEXED, WITH_OPACITY = 3, 6
 
 
 def png(labels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> bytes:
-    """Return an image of one byte a pixel, with a palette (colour type 3).
+    """Return an image with one byte per pixel and a palette (colour type 3).
 
     Parameters
     ----------
@@ -26,12 +26,12 @@ def png(labels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> bytes:
 
 
 def png_uri(labels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> str:
-    """Return an image with a palette as an address."""
+    """Return an image with a palette as a data URI."""
     return _address(png(labels, colours))
 
 
 def image_uri(pixels: NDArray[np.uint8]) -> str:
-    """Return an image of any colours as an address (colour type 6).
+    """Return an image of any colours as a data URI (colour type 6).
 
     Parameters
     ----------

@@ -1,8 +1,7 @@
-"""Cuts sections through volumes, and compares two of them.
+"""Sections through volumes, and comparison of two sections.
 
-A section is what a reader sees: rows from bottom to top, columns from left to
-right, both in mm. Its plane is that of the voxels nearest to the point asked for;
-outside a volume's box there is air.
+A section has rows from bottom to top and columns from left to right, both in mm. Its plane is
+the layer of voxels nearest to the requested point; outside a volume's box there is air.
 """
 
 import math
@@ -22,12 +21,12 @@ Labels = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class View:
-    """A direction to look in.
+    """A viewing direction.
 
     Parameters
     ----------
     name : str
-        As anatomists call the plane.
+        Anatomical name of the plane.
     normal, across, up : int
         Axes of space (0 x, 1 y, 2 z): normal to the plane, to the right and upwards.
     """
@@ -38,7 +37,7 @@ class View:
     up: int
 
 
-# The plates press along y, so y points up wherever it can be seen.
+# The plates press along y, so y points up wherever it is visible.
 VIEWS = (
     View("coronal", normal=2, across=0, up=1),
     View("transverse", normal=0, across=2, up=1),
@@ -81,7 +80,7 @@ def section(volume: Volume, view: View, at_mm: float) -> Section:
         plane = np.take(values, nearest, axis=array_axis)
     else:
         plane = np.zeros(np.delete(values.shape, array_axis), np.uint8)
-    if view.up < view.across:  # of the two axes left, the greater is the first
+    if view.up < view.across:  # the greater of the two other axes comes first
         plane = plane.T
     return Section(
         np.ascontiguousarray(plane, dtype=np.uint8),
@@ -96,13 +95,13 @@ def middle_mm(volume: Volume, tissues: Iterable[int]) -> Triple:
     Raises
     ------
     InputError
-        If the volume holds nothing but air.
+        If the volume contains only air.
     """
     mask = np.isin(volume.values, [int(tissue) for tissue in tissues])
     if not mask.any():
         mask = np.asarray(volume.values) != Tissue.AIR
     if not mask.any():
-        raise InputError("The volume holds nothing but air, so it has no middle.")
+        raise InputError("The volume contains only air, so it has no middle.")
     along = []
     for axis in range(3):
         counts = mask.sum(axis=tuple(a for a in range(3) if a != 2 - axis), dtype=np.float64)
@@ -113,19 +112,19 @@ def middle_mm(volume: Volume, tissues: Iterable[int]) -> Triple:
 
 
 def difference(target: Section, best: Section, tissues: Iterable[int]) -> Section:
-    """Mark where tissues lie in the target, in the best candidate, and in both.
+    """Mark tissues that are in the target, in the best candidate, or in both.
 
     Parameters
     ----------
     target, best : Section
-        On one lattice; their boxes may differ.
+        Sections on one lattice; their boxes may differ.
     tissues : iterable of int
-        That are compared.
+        Compared tissues.
 
     Returns
     -------
     Section
-        Of `Difference`, on a box around both.
+        Values of `Difference`, on a box around both.
     """
     (first, second), origin = _on_one_box((target, best))
     labels = [int(tissue) for tissue in tissues]
@@ -138,7 +137,7 @@ def difference(target: Section, best: Section, tissues: Iterable[int]) -> Sectio
 
 
 def frame_mm(sections: Sequence[Section]) -> tuple[float, float, float, float]:
-    """Return left, right, bottom and top of a frame around all bodies, with a little air."""
+    """Return left, right, bottom and top of a frame around all bodies, with a small margin."""
     boxes = np.array([_body_mm(s) for s in sections])
     left, bottom = boxes[:, [0, 2]].min(axis=0)
     right, top = boxes[:, [1, 3]].max(axis=0)
@@ -147,7 +146,7 @@ def frame_mm(sections: Sequence[Section]) -> tuple[float, float, float, float]:
 
 
 def clipped(shown: Section, frame: tuple[float, float, float, float]) -> Section:
-    """Return the voxels of a section whose centres lie inside a frame; at least one."""
+    """Return the voxels of a section with centres inside a frame; at least one."""
     left, right, bottom, top = frame
     (dx, dy), (x, y) = shown.spacing_mm, shown.origin_mm
     rows, columns = shown.values.shape

@@ -1,8 +1,8 @@
-"""Writes charts as SVG that stands in the page itself.
+"""Charts as inline SVG.
 
-Colours are classes of the page's style sheet, so a chart follows light and dark; text stays
-text. A curve is a few hundred bytes and a chart takes about a millisecond, which lets a running
-study write its page again and again.
+Colours are classes of the page's style sheet, so charts follow light and dark mode; text stays
+text. A curve takes a few hundred bytes and a chart about a millisecond, so a running study can
+rewrite its page often.
 """
 
 import math
@@ -14,10 +14,10 @@ from markupsafe import Markup, escape
 
 from palpate.service.formatting import MINUS
 
-# What a letter of the page's font takes, as a share of its size: a little more than it does.
+# Width of a letter relative to the font size, slightly overestimated.
 LETTER = 0.56
 TEXT_PX = 12.5
-# Limits of an axis whose ratio is at least this are shown by their logarithms.
+# An axis is logarithmic if the ratio of its limits is at least this.
 SPAN_OF_LOG = 100.0
 SMALL_PX = 11.5
 
@@ -26,7 +26,7 @@ Mark = Literal["dot", "ring", "diamond", "stroke", "cross", "triangle", "line", 
 
 @dataclass
 class Svg:
-    """A drawing in pixels, y downwards, to which elements are added.
+    """A drawing in pixels, with y pointing down.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class Svg:
     parts: list[str] = field(default_factory=list)
 
     def add(self, tag: str, text: str | None = None, /, **attributes: object) -> None:
-        """Add an element; ``class_`` and ``stroke_width`` are written class and stroke-width."""
+        """Add an element; ``class_`` and ``stroke_width`` become class and stroke-width."""
         head = "".join(
             f' {name.strip("_").replace("_", "-")}="{_written(value)}"'
             for name, value in attributes.items()
@@ -47,11 +47,11 @@ class Svg:
         self.parts.append(f"<{tag}{head}{body}")
 
     def text(self, x: float, y: float, text: str, **attributes: object) -> None:
-        """Add a line of text; its baseline begins at a point."""
+        """Add a line of text with its baseline starting at a point."""
         self.add("text", text, x=x, y=y, **attributes)
 
     def titled(self, title: str, tag: str, **attributes: object) -> None:
-        """Add an element that shows a text under the pointer."""
+        """Add an element with a tooltip."""
         self.parts.append("<g>")
         self.add("title", title)
         self.add(tag, **attributes)
@@ -76,9 +76,9 @@ class Svg:
         numbers: Sequence[int] = (),
         **attributes: object,
     ) -> None:
-        """Add many dots as one element; `numbers` says which evaluations they are.
+        """Add many dots as one element; `numbers` are the numbers of their evaluations.
 
-        A stroke of no length with round ends is a dot. The page's script reads the places
+        A dot is a stroke of zero length with round ends. The page's script reads the positions
         from the same text.
         """
         if not points:
@@ -88,7 +88,7 @@ class Svg:
         self.add("path", d=places, class_=f"dots {class_}", **told, **attributes)
 
     def mark(self, kind: Mark, x: float, y: float, class_: str, size: float = 5.0) -> None:
-        """Add one sign of a legend or a chart, centred at a point."""
+        """Add a mark of a legend or a chart, centred at a point."""
         s = size
         if kind == "dot" or kind == "ring":
             self.add("circle", cx=x, cy=y, r=s, class_=class_)
@@ -113,7 +113,7 @@ class Svg:
         Parameters
         ----------
         label : str
-            What it shows, for those who cannot see it.
+            Alternative text.
         classes : str
             Added to ``chart``.
         data : str
@@ -131,7 +131,7 @@ class Svg:
 
 @dataclass(frozen=True)
 class Scale:
-    """A linear axis: values from `lower` to `upper` lie at pixels from `start` to `end`."""
+    """A linear axis that maps `lower` to `upper` onto pixels `start` to `end`."""
 
     lower: float
     upper: float
@@ -144,7 +144,7 @@ class Scale:
         return self.start + share * (self.end - self.start)
 
     def ticks(self, most: int) -> list[float]:
-        """Return round values inside the axis, in at most so many steps of 1, 2 or 5."""
+        """Return at most about `most` round values inside the axis, in steps of 1, 2 or 5."""
         span = self.upper - self.lower
         power = 10.0 ** math.floor(math.log10(span / max(1, most)))
         step = next(s * power for s in (1, 2, 5, 10, 20) if span / (s * power) <= most + 1e-6)
@@ -163,7 +163,7 @@ class LogScale(Scale):
         return self.start + share * (self.end - self.start)
 
     def ticks(self, most: int) -> list[float]:
-        """Return 1, 2 and 5 times powers of ten, or these powers alone where there are many."""
+        """Return 1, 2 and 5 times powers of ten, or only the powers if there are many."""
         first = math.floor(math.log10(self.lower))
         last = math.ceil(math.log10(self.upper))
         powers = range(first, last + 1)
@@ -184,24 +184,24 @@ def spans_decades(lower: float, upper: float) -> bool:
 
 
 def scale_between(lower: float, upper: float, start: float, end: float) -> Scale:
-    """Return a logarithmic axis where positive limits are decades apart, else a linear one."""
+    """Return a logarithmic axis if positive limits are decades apart, else a linear one."""
     return (LogScale if spans_decades(lower, upper) else Scale)(lower, upper, start, end)
 
 
 def tick_text(value: float) -> str:
-    """Return a value of an axis without rounding noise, with a real minus."""
+    """Return a tick label without rounding noise, with a typographic minus."""
     return f"{value + 0.0:.10g}".replace("-", MINUS)
 
 
 def text_width(text: str, size: float = TEXT_PX) -> float:
-    """Return about how wide a text is, in pixels."""
+    """Return the approximate width of a text in pixels."""
     return LETTER * size * len(text)
 
 
 def horizontal_axis(
     svg: Svg, scale: Scale, y: float, label: str, most: int = 8, top: float | None = None
 ) -> None:
-    """Draw ticks and a label below a chart, and lines through it up to `top`."""
+    """Draw ticks and a label below a chart, and grid lines up to `top`."""
     for value in scale.ticks(most):
         x = scale.at(value)
         if top is not None:
@@ -216,7 +216,7 @@ def horizontal_axis(
 def vertical_axis(
     svg: Svg, scale: Scale, x: float, label: str, right: float, most: int = 6
 ) -> None:
-    """Draw ticks and a label left of a chart, and lines through it up to `right`."""
+    """Draw ticks and a label left of a chart, and grid lines to `right`."""
     for value in scale.ticks(most):
         y = scale.at(value)
         svg.add("path", d=f"M{x:.1f} {y:.1f}H{right:.1f}", class_="grid")
@@ -230,7 +230,7 @@ def vertical_axis(
 def legend(
     svg: Svg, items: Sequence[tuple[Mark, str, str]], x: float, y: float, right: float
 ) -> float:
-    """Draw (mark, class, text) in rows that end before `right`; return how high they are."""
+    """Draw (mark, class, text) in rows that end before `right`; return their height."""
     left, top = x, y
     for mark, class_, text in items:
         width = 26 + text_width(text, SMALL_PX)

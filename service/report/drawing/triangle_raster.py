@@ -1,4 +1,4 @@
-"""Finds which triangle of a surface is seen at every pixel of a picture."""
+"""Visible triangles of a surface at every pixel of a picture."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,24 +11,24 @@ NONE = -1
 def front_triangles(
     corners: FloatArray, nearness: FloatArray, rows: int, columns: int
 ) -> NDArray[np.int64]:
-    """Return the number of the nearest triangle over the middle of each pixel.
+    """Return the index of the nearest triangle at the centre of each pixel.
 
-    Every line of pixels is cut with the three sides of every triangle that it meets, so only
-    pixels inside of triangles are ever looked at.
+    Every row of pixels is intersected with the sides of the triangles that it meets, so only pixels
+    inside triangles are visited.
 
     Parameters
     ----------
     corners : ndarray, shape (m, 3, 2)
-        Across and up, in pixels from the lower left corner of the picture.
+        Corners across and up, in pixels from the lower left corner of the picture.
     nearness : ndarray, shape (m,)
-        Of two triangles over a pixel, the one of the larger number is seen.
+        At each pixel, the triangle with the largest value is visible.
     rows, columns : int
-        Of the picture.
+        Size of the picture.
 
     Returns
     -------
     ndarray of int, shape (rows, columns)
-        Row 0 at the bottom; `NONE` where there is no triangle.
+        Row 0 at the bottom; `NONE` without a triangle.
     """
     order = np.argsort(nearness, kind="stable")
     x, y = corners[order].transpose(2, 0, 1)
@@ -45,7 +45,7 @@ def front_triangles(
 def _middles(
     low: FloatArray, high: FloatArray, size: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first and the last of `size` pixels whose middles lie between two places."""
+    """Return the first and last of `size` pixels with centres between two positions."""
     first, last = np.ceil(low - 0.5), np.floor(high - 0.5)
     return np.clip(first, 0, size).astype(np.int64), np.clip(last, -1, size - 1).astype(np.int64)
 
@@ -53,7 +53,7 @@ def _middles(
 def _ranges(
     first: NDArray[np.int64], last: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return all numbers from `first` to `last`, and which of the ranges each belongs to."""
+    """Return all integers of ranges `first` to `last`, and the range of each."""
     counts = np.maximum(last - first + 1, 0)
     which = np.repeat(np.arange(len(counts)), counts)
     ends = np.cumsum(counts)
@@ -61,7 +61,7 @@ def _ranges(
 
 
 def _cut(x: FloatArray, y: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where lines along x at `at` enter and leave triangles that they meet."""
+    """Return the entry and exit points of lines along x at `at` in the triangles they meet."""
     low, high = np.full(len(at), np.inf), np.full(len(at), -np.inf)
     for a, b in ((0, 1), (1, 2), (2, 0)):
         rise = y[:, b] - y[:, a]

@@ -1,4 +1,4 @@
-"""Fills the template of a page: one file, which needs no other."""
+"""Rendering of page templates."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -16,9 +16,9 @@ def filled(template: str, values: Mapping[str, Any], folder: Path = HERE) -> str
     Parameters
     ----------
     template : str
-        Name of the file in `folder`; what it includes may also lie here.
+        Name of the file in `folder`; included files may also be in this folder.
     values : mapping of str to Any
-        Every name that the template asks for.
+        Values of all names in the template.
     folder : Path
     """
     return _environment(folder).get_template(template).render(values)
@@ -26,7 +26,7 @@ def filled(template: str, values: Mapping[str, Any], folder: Path = HERE) -> str
 
 @cache
 def _environment(folder: Path) -> Environment:
-    """Return what reads templates; it keeps those that it has compiled."""
+    """Return the template environment, which caches compiled templates."""
     return Environment(
         loader=FileSystemLoader([folder, HERE]),
         autoescape=True,

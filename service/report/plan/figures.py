@@ -1,4 +1,4 @@
-"""Charts of a plan: how alike effects look, and what further measurements would add."""
+"""Charts of a plan: similarity of effects, and gains of further measurements."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from palpate.workers.diagnosis.schema.plan import FurtherMeasurement, PlanSummar
 
 WIDTH_IN = 10.4
 CELL_IN = 0.4
-# Cosines below this are told apart by any signal worth the name; no number is written.
+# Cosines below this are harmless and not labelled.
 WORTH_A_NUMBER = 0.3
 DARK = 0.85
 
@@ -22,7 +22,7 @@ ALIKE = LinearSegmentedColormap.from_list("alike", ["#ffffff", "#f6d9ae", ORANGE
 
 
 def alikeness(plan: PlanSummary) -> Figure:
-    """Return cosines of the visible parts of all effects; names in grey cannot be found at all."""
+    """Return the cosines of the visible parts of all effects; grey names cannot be found."""
     names = [e.name for e in plan.effects]
     seen = [e.seen for e in plan.effects]
     cosines = np.array(plan.cosines)
@@ -52,14 +52,14 @@ def alikeness(plan: PlanSummary) -> Figure:
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     bar = drawn.colorbar(image, ax=axes, shrink=0.6, pad=0.015)
-    bar.set_label("cosine of what is visible", fontsize=SMALL_PT, color=SOFT_INK)
+    bar.set_label("cosine of the visible parts", fontsize=SMALL_PT, color=SOFT_INK)
     bar.ax.tick_params(labelsize=SMALL_PT, colors=SOFT_INK)
     bar.outline.set_visible(False)
     return drawn
 
 
 def gains(told_apart: int, acquisitions: Sequence[FurtherMeasurement], pairs: int) -> Figure:
-    """Return pairs told apart now and with each further measurement, the best one on top."""
+    """Return the pairs distinguished now and with each further measurement, the best on top."""
     drawn = figure(WIDTH_IN, 0.9 + 0.4 * len(acquisitions))
     axes = calm(drawn.subplots(), grid="x")
     for number, one in enumerate(acquisitions):
@@ -67,7 +67,7 @@ def gains(told_apart: int, acquisitions: Sequence[FurtherMeasurement], pairs: in
         axes.barh(number, now, height=0.6, color=GREY)
         axes.barh(number, one.told_apart - now, left=now, height=0.6, color=BLUE)
         change = round(100 * (one.minimum_ratio - 1))
-        said = f"; found from {change:+d} %".replace("-", "\u2212") if change else ""
+        said = f"; detection limit {change:+d} %".replace("-", "\u2212") if change else ""
         axes.annotate(
             f"{one.told_apart}{said}",
             (one.told_apart, number),
@@ -84,12 +84,12 @@ def gains(told_apart: int, acquisitions: Sequence[FurtherMeasurement], pairs: in
     axes.set(
         ylim=(len(acquisitions) - 0.4, -0.6),
         xlim=(0, 1.25 * max([pairs / 2, *(a.told_apart for a in acquisitions)])),
-        xlabel=f"pairs of effects told apart, of {pairs}",
+        xlabel=f"pairs of effects distinguished, of {pairs}",
     )
     legend(
         axes,
         handles=[
-            Patch(color=GREY, label="by the scans that are meant"),
+            Patch(color=GREY, label="by the planned scans"),
             Patch(color=BLUE, label="by the further measurement"),
         ],
     )

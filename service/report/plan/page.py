@@ -1,4 +1,4 @@
-"""The page of a plan: one file, which needs no other."""
+"""The page of a plan, in one self-contained file."""
 
 import json
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ from palpate.workers.diagnosis.schema.plan import FurtherMeasurement, PlannedEff
 
 @dataclass(frozen=True)
 class EffectRow:
-    """What can be told of one effect: its parameters with least and plausible magnitudes."""
+    """One effect: its parameters with detectable and plausible magnitudes."""
 
     name: str
     family: str
@@ -53,7 +53,7 @@ class GainRow:
 
 
 def render(plan: PlanSummary) -> str:
-    """Return the page as text; an equal plan gives the same bytes."""
+    """Return the page as text; equal plans give the same bytes."""
     return filled("plan.html.j2", context(plan))
 
 
@@ -79,10 +79,10 @@ def context(plan: PlanSummary) -> dict[str, object]:
 
 def _lead(plan: PlanSummary) -> str:
     return (
-        f"Foreseen at {plan.points} points on the outline and on the boundary of the glandular "
-        f"tissue, each of which a segmentation draws with an error of {plan.noise_mm:.2f} mm. "
-        "No loaded scan was looked at: the model says what every effect would do, and how much of "
-        "it another choice of constants would hide."
+        f"Predicted at {plan.points} points on the outline and on the boundary of the glandular "
+        f"tissue, for a segmentation error of {plan.noise_mm:.2f} mm at each. No loaded scan was "
+        "used: the model predicts the influence of every effect, and how much of it other "
+        "constants would absorb."
     )
 
 
@@ -90,7 +90,7 @@ def _tiles(plan: PlanSummary) -> list[tuple[str, str, str]]:
     seen = len(plan.effects) - len(plan.silent)
     return [
         ("Effects that can be found", str(seen), f"of {len(plan.effects)}"),
-        ("Pairs told apart", str(plan.told_apart), f"of {plan.pairs}"),
+        ("Pairs distinguished", str(plan.told_apart), f"of {plan.pairs}"),
         ("Points", str(plan.points), f"in {len(plan.scans)} scans"),
         ("Noise of a point", f"{plan.noise_mm:.2f}", "mm"),
     ]
@@ -98,10 +98,10 @@ def _tiles(plan: PlanSummary) -> list[tuple[str, str, str]]:
 
 def _lost(plan: PlanSummary) -> Iterator[str]:
     if plan.not_simulated:
-        yield f"The model does not converge at {', '.join(plan.not_simulated)}."
+        yield f"The model does not converge for {', '.join(plan.not_simulated)}."
     if plan.without_columns:
         yield (
-            f"Left out, for they do not act here or cannot be simulated: "
+            f"Left out, because they do not act here or cannot be simulated: "
             f"{together(plan.without_columns)}."
         )
 
@@ -139,7 +139,7 @@ def _gain_picture(plan: PlanSummary) -> Picture | None:
     if not found:
         return None
     said = "; ".join(f"{a.name}: {a.told_apart}" for a in found)
-    return picture(gains(plan.told_apart, found, plan.pairs), f"Pairs told apart. {said}.")
+    return picture(gains(plan.told_apart, found, plan.pairs), f"Pairs distinguished. {said}.")
 
 
 def _alikes(plan: PlanSummary) -> str:

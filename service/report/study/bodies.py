@@ -1,7 +1,7 @@
-"""Reads the three bodies of a study, as far as its store still has them.
+"""The three bodies of a study, as far as its store still has them.
 
-The undeformed body, the target, and the target as the best candidate explains it.
-What is missing is said in words; a report without pictures is still a report.
+They are the undeformed body, the target and the best candidate. The report names missing bodies
+and does without their pictures.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -38,26 +38,26 @@ def _no_figures(findings: Mapping[str, Any]) -> "Iterable[tuple[Figure, str]]":
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Pictures of the bodies that were found, and a sentence for each that was not.
+    """The available bodies, and a sentence for each missing one.
 
     Parameters
     ----------
     reference, target, best : Volume or None
-        The undeformed body, the deformed one that is explained, and the explanation.
+        The undeformed body, the target and the deformed body of the best candidate.
     missing : tuple of str
         Sentences for the reader.
     scores_before, scores_after : mapping of str to Scores
-        Of the undeformed and of the best body, part by part; empty where a body is missing.
+        Scores of the undeformed and of the best body by part; empty if a body is missing.
     labels : mapping of int to str
-        What the numbers in the pictures mean.
+        Meaning of the numbers in the pictures.
     load_direction : str
         A sentence; see `workers.organs.organ.Organ`.
     surfaces : tuple of StudySurface
-        Of a body that has three dimensions; empty where they are not wanted.
+        Surfaces of a three-dimensional body; empty if not requested.
     displacement : Volume or None
-        How far the best candidate has moved its tissue, in mm, nan around it.
+        Length of the displacement in the best candidate in mm, nan outside the body.
     figures : callable
-        From findings to their figures; see `workers.organs.registry.Findings`.
+        Maps findings to their figures; see `workers.organs.registry.Findings`.
     """
 
     reference: Volume | None = None
@@ -81,21 +81,21 @@ def find_bodies(
     compare: bool,
     in_3d: bool = True,
 ) -> Bodies:
-    """Read what the store has.
+    """Read the bodies from the store.
 
     Parameters
     ----------
     study : Path
-        Folder of the study; a store that was moved with it is found beside it.
+        Folder of the study; a store that was moved with it is found next to it.
     spec : StudySpec
     session : SessionRecord or None
-        The last run of the study; None if its preparation was never finished.
+        The last run of the study; None if its preparation was never completed.
     best : str or None
         Digest of the best evaluation.
     compare : bool
-        Whether the bodies are scored; a study that has ended holds these scores already.
+        Whether to score the bodies; a completed study has these scores already.
     in_3d : bool
-        Whether surfaces are wanted, which take a second or two.
+        Whether to compute surfaces, which takes one or two seconds.
     """
     if session is None:
         return Bodies(missing=("The body and its target have not been prepared yet.",))
@@ -112,7 +112,7 @@ def find_bodies(
     target = _stored(bodies, session.target.get("target"), "target", missing)
     explained = None
     if best is None:
-        missing.append("No candidate has a score yet, so there is no best one to show.")
+        missing.append("No candidate has a score yet, so there is no best candidate to show.")
     else:
         explained = _explained(bodies, session, best, reference, target, missing)
 
@@ -150,7 +150,7 @@ def _surfaces(
     reference: Any | None,
     target: Any | None,
 ) -> tuple[StudySurface, ...]:
-    """Return the surfaces of a body in three dimensions, moved as the best candidate says."""
+    """Return the surfaces of a three-dimensional body, moved by the best candidate."""
     if not isinstance(reference, Volume) or 1 in reference.values.shape:
         return ()
     tets, displacement_mm = _moved_mesh(bodies, session, best) or (None, None)
@@ -161,7 +161,7 @@ def _surfaces(
 def _displacement(
     bodies: BodyStore, session: SessionRecord, best: str | None, explained: Any | None
 ) -> Volume | None:
-    """Return how far the best candidate moves its tissue, in voxels of twice the size."""
+    """Return the displacement of the best candidate, on voxels of twice the size."""
     moved = _moved_mesh(bodies, session, best)
     if moved is None or not isinstance(explained, Volume) or 1 in explained.values.shape:
         return None
@@ -188,7 +188,7 @@ def _stored(bodies: BodyStore, digest: str | None, what: str, missing: list[str]
     if digest is None or not bodies.has_body(digest):
         missing.append(
             f"The volume of the {what} is no longer in the store; running the study again "
-            "brings it back."
+            "restores it."
         )
         return None
     try:
@@ -206,7 +206,7 @@ def _explained(
     target: Any | None,
     missing: list[str],
 ) -> Any | None:
-    """Return the best candidate's deformed body: kept, or made again from its displacements."""
+    """Return the best candidate's deformed body, stored or recomputed from its displacements."""
     if bodies.has_body(best):
         return _stored(bodies, best, "best candidate", missing)
     store, mesh = bodies.store, session.prepared.get("mesh")
@@ -216,5 +216,5 @@ def _explained(
         displacement_mm = load_field(store, best)
         return bodies.organ.deform(reference, bodies.mesh(mesh), displacement_mm, target)
     except PalpateError as error:
-        missing.append(f"The best candidate's volume cannot be made again: {error}")
+        missing.append(f"The best candidate's volume cannot be recomputed: {error}")
         return None

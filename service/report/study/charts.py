@@ -1,7 +1,7 @@
-"""Draws the charts of a study's page: how the search went and where it ended.
+"""Charts of a study's page: the progress of the search and its result.
 
-Dots carry the numbers of their evaluations, so that the page's script can say under the pointer
-which candidate a dot is.
+Dots have the numbers of their evaluations, so that the page's script can name the candidate under
+the pointer.
 """
 
 import math
@@ -22,14 +22,14 @@ from palpate.service.report.drawing.svg import (
     vertical_axis,
 )
 
-SHADES = 5  # of dots in a scatter, from the first generation to the last
-STAGES = 6  # colours of stages in the style sheet
+SHADES = 5  # shades of dots in a scatter plot, from the first generation to the last
+STAGES = 6  # number of stage colours in the style sheet
 NARROW = 600.0
 
 
 @dataclass(frozen=True)
 class EvaluationPoint:
-    """One evaluation: generation from 0, parameters at the door, minimised score (+inf: failed)."""
+    """One evaluation: generation from 0, parameters as in the file, score (+inf: failed)."""
 
     generation: int
     genes: Mapping[str, float]
@@ -38,20 +38,20 @@ class EvaluationPoint:
 
 @dataclass(frozen=True)
 class SearchedParameter:
-    """A searched parameter as the charts show it, in its unit at the door.
+    """A searched parameter for the charts, in the unit of the study file.
 
     Parameters
     ----------
     name : str
-        As in the study file.
+        Name in the study file.
     label : str
-        For a reader, with its unit.
+        Axis label, with its unit.
     lower, upper : float
         Bounds of the search.
     estimate, target : float or None
-        None where there is none, or none is known.
+        None if there is none, or it is unknown.
     interval : (float, float) or None
-        What the images leave open; None where it is not known.
+        90 % interval; None if it is unknown.
     """
 
     name: str
@@ -72,8 +72,8 @@ def convergence(
 ) -> Svg:
     """Draw the best and mean score of each generation over all evaluations.
 
-    Infinite scores have no place on the axis: identical volumes (-inf) are drawn as triangles
-    along the bottom, failures (+inf) as crosses along the top.
+    Infinite scores are off the axis: identical volumes (-inf) are drawn as triangles along the
+    bottom, failures (+inf) as crosses along the top.
     """
     svg = Svg(width, 330.0)
     last = max(len(best), *(p.generation + 1 for p in points))
@@ -155,7 +155,7 @@ def scatter(
     width: float = 470.0,
     axis: str = "GSF",
 ) -> Svg:
-    """Draw scores over one parameter: a narrow valley means that the images fix it."""
+    """Draw scores over one parameter; a narrow valley means that the images determine it."""
     svg = Svg(width, 270.0)
     lower, upper = _with_room((parameter.lower, parameter.upper), 0.02)
     across = scale_between(lower, upper, 54, width - 10)
@@ -185,7 +185,7 @@ def scatter(
 
 
 def stages(seconds: Mapping[str, float], width: float) -> Svg:
-    """Draw the shares of the time that evaluations took, stage by stage."""
+    """Draw the shares of the evaluation time by stage."""
     svg = Svg(width, 0)
     items: list[tuple[Mark, str, str]] = [
         ("box", f"stage{k % STAGES}", name) for k, name in enumerate(seconds)
@@ -235,7 +235,7 @@ def _range(
 
 
 def _limits(values: Sequence[float]) -> tuple[float, float]:
-    """Return an interval around finite values, with room at both ends."""
+    """Return an interval around finite values, with margins."""
     low, high = (min(values), max(values)) if values else (-1.0, 0.0)
     if low < high:
         return _with_room((low, high), 0.06)
@@ -244,7 +244,7 @@ def _limits(values: Sequence[float]) -> tuple[float, float]:
 
 
 def _with_room(limits: tuple[float, float], share: float) -> tuple[float, float]:
-    """Return limits moved apart by a share of the axis between them, which may be logarithmic."""
+    """Return limits widened by a fraction of the axis, which may be logarithmic."""
     low, high = limits
     if spans_decades(low, high):
         factor = (high / low) ** share
@@ -261,7 +261,7 @@ def _shade(generation: int, generations: int) -> int:
 
 
 def _beside(points: Sequence[EvaluationPoint], across: Scale) -> list[float]:
-    """Return where points lie: those of one generation apart, so that equal scores are visible."""
+    """Return positions of points, spread within a generation to make equal scores visible."""
     sizes: dict[int, int] = {}
     for p in points:
         sizes[p.generation] = sizes.get(p.generation, 0) + 1

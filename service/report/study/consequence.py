@@ -18,14 +18,14 @@ from palpate.storage.records.tasks import TargetKind
 
 
 def quotable(results: StudyResults) -> Markup:
-    """Return a sentence on which constants may be quoted and which not; empty if there are none."""
+    """Return a sentence on the constants that may and may not be quoted; empty without any."""
     if all(e.estimate is None and e.quotability is None for e in results.estimates.values()):
         return Markup("")
     known = results.identification
     if known is not None and known.ratios:
         return _said(_ratios(known, results), "Quote ratios only: {}") + Markup(
-            " The plates are at a known distance and no force is stated, so no value in kPa can "
-            "be found."
+            " The plate distance is known but no force is stated, so values in kPa cannot be "
+            "determined."
         )
     answers = results.quotability
     constants = [
@@ -36,7 +36,7 @@ def quotable(results: StudyResults) -> Markup:
 
 
 def _derived(one: DerivedEstimate) -> Markup:
-    """Return a derived value, with its value and interval where it may be quoted."""
+    """Return a derived quantity, with value and interval if it may be quoted."""
     if not one.answer.quotable or one.interval is None:
         return Markup("{}").format(one.name)
     ends = f"{number(one.interval[0], 3)} to {number(one.interval[1], 3)}"
@@ -44,7 +44,7 @@ def _derived(one: DerivedEstimate) -> Markup:
 
 
 def _said(judged: list[tuple[Markup, Quotability]], quote: str = "Quote {}") -> Markup:
-    """Return what may be quoted, and what may not and why, as one sentence."""
+    """Return one sentence on the values that may and may not be quoted, with reasons."""
     good = [name for name, answer in judged if answer.quotable]
     reasons: dict[tuple[str, ...], list[Markup]] = {}
     for name, answer in judged:
@@ -63,7 +63,7 @@ def _said(judged: list[tuple[Markup, Quotability]], quote: str = "Quote {}") -> 
 def _with_interval(
     name: str, estimate: ParameterEstimate, known: Identification | None, answer: Quotability
 ) -> Markup:
-    """Return a constant, with its value and interval where it may be quoted."""
+    """Return a constant, with value and interval if it may be quoted."""
     constant = None if known is None else known.constants.get(name)
     if not answer.quotable or constant is None or constant.interval is None:
         return _named(name, estimate)
@@ -75,11 +75,11 @@ def _with_interval(
 
 
 def next_step(results: StudyResults, target: TargetKind | None) -> Markup:
-    """Return what to do next, with the command for it."""
+    """Return the next step, with its command."""
     if results.state == "running":
-        return Markup("This page is written again after every generation.")
+        return Markup("This page is updated after every generation.")
     if results.state == "interrupted":
-        return _command("Go on with the search:", f"palpate run {results.folder}")
+        return _command("Continue the search:", f"palpate run {results.folder}")
     edges = [
         _named(n, e)
         for n, e in results.estimates.items()
@@ -92,20 +92,20 @@ def next_step(results: StudyResults, target: TargetKind | None) -> Markup:
     known = results.identification
     if known is not None and any(c.identifiable == "ratio" for c in known.constants.values()):
         return Markup(
-            "State the force of the plates, or hold one stiffness, to find values and not ratios."
+            "State the plate force, or hold one stiffness, to find values instead of ratios."
         )
     weak = [] if known is None else [n for n in known.weak if n in results.estimates]
     if weak:
         names = joined([_named(n, results.estimates[n]) for n in weak])
-        words = Markup("See what the model lacks, and whether anything would determine {} better:")
+        words = Markup("Find out what the model lacks, and what would determine {} better:")
         return _command(words.format(names), f"palpate diagnose {results.folder}")
     if target == "image":
-        return _command("See what the model lacks:", f"palpate diagnose {results.folder}")
-    return Markup("The target was simulated: put images of your own in its place.")
+        return _command("Find out what the model lacks:", f"palpate diagnose {results.folder}")
+    return Markup("The target was simulated: replace it with your own images.")
 
 
 def verdicts(known: Identification | None, names: Iterable[str]) -> dict[str, str]:
-    """Return a word for how well each constant is determined; empty where it is not known."""
+    """Return the verdict on each constant's identifiability; empty if unknown."""
     words = {
         "value": "",
         "weak": "weakly determined",
@@ -124,7 +124,7 @@ def interval_text(constant: IdentifiedConstant | None) -> str:
 
 
 def about_intervals(known: Identification | None) -> str:
-    """Return a sentence on what the intervals are; empty if there are none."""
+    """Return a sentence on the origin of the intervals; empty if there are none."""
     if known is None:
         return ""
     origins = {c.interval.origin: c.interval.level for c in known.constants.values() if c.interval}
@@ -134,7 +134,7 @@ def about_intervals(known: Identification | None) -> str:
     how = (
         "the derivatives of the best simulation"
         if origin == "tangents"
-        else "the scatter of candidates that are as good as the best"
+        else "the scatter of candidates as good as the best"
     )
     factor = (
         f" The residual is {number(known.noise_factor, 2)} times the stated noise, and the "
@@ -150,13 +150,13 @@ def about_intervals(known: Identification | None) -> str:
     if shares:
         factor += f" Standard deviations by source: {'; '.join(shares)}."
     return (
-        f"Intervals hold with {100 * level:.0f} % and come from {how}. A constant whose interval "
+        f"Intervals are {100 * level:.0f} % intervals from {how}. A constant whose interval "
         f"is wider than half its value is weakly determined.{factor}"
     )
 
 
 def _ratios(known: Identification, results: StudyResults) -> list[tuple[Markup, Quotability]]:
-    """Return the ratios with their answers, where only ratios can be found."""
+    """Return the ratios with their quotability, if only ratios can be found."""
     return [
         (
             Markup("{} / {} = {}").format(

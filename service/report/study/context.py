@@ -1,4 +1,4 @@
-"""Collects the sentences, tables and pictures that the template of a study's page prints."""
+"""Values of the template of a study's page: sentences, tables and pictures."""
 
 import json
 from collections.abc import Mapping
@@ -46,12 +46,12 @@ from palpate.service.results.record import ParameterEstimate
 from palpate.service.study.count import generations_text
 from palpate.storage.plain import to_plain
 
-# How often the page of a running search is loaded again while nobody touches it.
+# Reload interval of the page of a running search, in seconds.
 REFRESH_S = 30
 
 
 def context(data: StudyData) -> dict[str, Any]:
-    """Return all values of the template."""
+    """Return the values of the template."""
     values = {
         **_head(data),
         **_parameters(data),
@@ -66,18 +66,18 @@ def context(data: StudyData) -> dict[str, Any]:
 
 
 def _contents(values: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the sections that the page has, by their names in it."""
+    """Return the titles of the page's sections by their anchors."""
     there = {
         "body": values["body_data"] is not None or values["quick"],
         "identifiability": bool(values["scatters"]),
     }
     sections = (
-        ("parameters", "What was found"),
+        ("parameters", "Estimates"),
         ("sections", "Target and best candidate"),
         ("body", "In three dimensions"),
         ("similarity", "Similarity by tissue"),
-        ("convergence", "How the search went"),
-        ("identifiability", "How well it is fixed"),
+        ("convergence", "Progress of the search"),
+        ("identifiability", "How well it is determined"),
         ("simulation", "The best simulation"),
         ("failures", "Failures"),
         ("time", "Time"),
@@ -107,7 +107,7 @@ def _head(data: StudyData) -> dict[str, Any]:
     return {
         "name": results.name,
         "caveats": results.caveats,
-        "verdict": _sentence(phrases) if phrases else "Nothing found yet.",
+        "verdict": _sentence(phrases) if phrases else "No estimates yet.",
         "lead": _lead(data),
         "quote": quotable(results),
         "next_step": next_step(results, results.target_kind),
@@ -118,7 +118,7 @@ def _head(data: StudyData) -> dict[str, Any]:
 
 
 def _verdict(estimates: Mapping[str, ParameterEstimate]) -> list[Markup]:
-    """Say what was estimated, one phrase for each parameter."""
+    """Return a phrase for each estimated parameter."""
     phrases = []
     for name, parameter in estimates.items():
         if parameter.estimate is None:
@@ -133,7 +133,7 @@ def _verdict(estimates: Mapping[str, ParameterEstimate]) -> list[Markup]:
 
 
 def _sentence(phrases: list[Markup]) -> Markup:
-    """Join phrases that hold commas themselves, none of them broken over two lines."""
+    """Join phrases that contain commas, without line breaks inside any."""
     ends = [";"] * (len(phrases) - 1) + ["."]
     return Markup("\n").join(
         Markup('<span class="found">{}{}</span>').format(phrase, end)
@@ -150,10 +150,10 @@ def _lead(data: StudyData) -> str:
         sentences.append(
             f"With the best constants, {compared.compared} of simulation and target share "
             f"{100 * score['jc']:.1f} % of the {space} that they fill together, and their {what} "
-            f"lie {number(score['mhd_mm'], 3)} mm ({number(score['mhd_voxels'], 2)} voxels) apart "
+            f"are {number(score['mhd_mm'], 3)} mm ({number(score['mhd_voxels'], 2)} voxels) apart "
             "on average."
         )
-    so_far = ": all numbers are those of the best so far" if score else ""
+    so_far = ": all numbers refer to the best candidate so far" if score else ""
     if results.stop_reason:
         sentences.append(f"The search has ended: {results.stop_reason}.")
     elif results.state == "running":
@@ -173,7 +173,7 @@ def _warnings(data: StudyData) -> list[Markup]:
         if e.estimate is not None and at_edge(e.estimate, (e.lower, e.upper))
     ]
     if edges:
-        text = "{} {} at the edge of the searched interval: the true value may lie beyond it."
+        text = "{} {} at the edge of the searched interval: the true value may be outside."
         verb = "lies" if len(edges) == 1 else "lie"
         warnings.append(Markup(text).format(joined(edges), verb))
     if data.results.squeezed_note:
@@ -188,9 +188,9 @@ def _parameters(data: StudyData) -> dict[str, Any]:
     points = evaluated_points(data.endings)
     axis = data.results.spec.objective.axis
     about = (
-        "The target was simulated, so its constants are known and the search did not see them."
+        "The target was simulated, so its constants are known; the search did not use them."
         if known
-        else "The constants of the target are not known: it comes from an image."
+        else "The constants of the target are unknown, because it comes from an image."
     )
     return {
         "about_parameters": about,
@@ -227,8 +227,8 @@ def _bodies(data: StudyData) -> dict[str, Any]:
         "differences": difference_legend(),
         "missing": bodies.missing,
         "similarities": study_tables.similarities(before, after, labels),
-        "about_similarity": "From the undeformed body, where the fit begins, to the best "
-        f"candidate. The search compared the shaded row{'s' if len(labels) > 1 else ''}.",
+        "about_similarity": "Undeformed body, where the fit starts, and best candidate. "
+        f" The search compared the shaded row{'s' if len(labels) > 1 else ''}.",
     }
 
 
@@ -260,7 +260,7 @@ def _search(data: StudyData) -> dict[str, Any]:
         if failed
         else f"None: every one of {count(len(data.endings))} evaluations has a score."
         if data.endings
-        else "None: nothing was evaluated yet."
+        else "None: nothing has been evaluated yet."
     )
     return {
         "convergence": convergence_picture(evaluated_points(data.endings), generations, axis),
@@ -279,7 +279,7 @@ def _about_search(data: StudyData, complete: int) -> str:
         return f"Generations: {generations_text(complete, spec.most_generations)}."
     return (
         f"{_plural(complete, 'complete generation')} of {spec.search.population} candidates; "
-        f"the best {spec.search.elite} of each live on unchanged and are not evaluated again."
+        f"the best {spec.search.elite} of each are kept unchanged and not evaluated again."
     )
 
 
@@ -303,7 +303,7 @@ def _time(data: StudyData) -> dict[str, Any]:
         ("Evaluations diverged", count(counts.diverged)),
         ("Evaluations crashed", count(counts.crashed)),
         ("Evaluations lost", count(counts.lost)),
-        ("Of these taken from the store", count(counts.reused)),
+        ("Reused from the store", count(counts.reused)),
     ]
     if computed and wall_s:
         work.append(("Throughput", f"{number(60 * computed / wall_s, 3)} evaluations per min"))
@@ -311,9 +311,9 @@ def _time(data: StudyData) -> dict[str, Any]:
         work.append(("Evaluations at once", count(data.session.workers)))
     return {
         "about_time": f"{duration(wall_s)} of wall time, preparation included; the evaluations "
-        f"took {duration(sum(spent.values()))}, added up over all workers."
+        f"took {duration(sum(spent.values()))}, summed over all workers."
         if wall_s
-        else "No run has noted its time yet.",
+        else "No run has recorded its time yet.",
         "stages": study_tables.stages(results.stages),
         "stage_bar": stage_picture(spent),
         "work": work,

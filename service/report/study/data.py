@@ -1,4 +1,4 @@
-"""Reads all that a study's page is made from, once."""
+"""The data of a study's page."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,20 +12,20 @@ from palpate.storage.records.record import EvaluationRecord, SessionRecord
 
 @dataclass(frozen=True, eq=False)
 class StudyData:
-    """What is known of a study.
+    """The data of a study.
 
     Parameters
     ----------
     results : StudyResults
-        What it has found so far.
+        Results so far.
     endings : tuple of EvaluationRecord
-        Of all candidates so far.
+        Endings of all candidates so far.
     sessions : tuple of SessionRecord
         All runs.
     bodies : Bodies
-        Volumes that the store still has.
+        Volumes still in the store.
     quick : bool
-        Whether the page is written while the search goes on, without what takes long.
+        Whether the page is written during the search, without slow parts.
     """
 
     results: StudyResults
@@ -36,7 +36,7 @@ class StudyData:
 
     @property
     def session(self) -> SessionRecord | None:
-        """Return the last run; None if preparation was never finished."""
+        """Return the last run; None if preparation was never completed."""
         return self.sessions[-1] if self.sessions else None
 
 
@@ -47,13 +47,13 @@ def read_study_data(study_dir: Path, *, quick: bool = False) -> StudyData:
     ----------
     study_dir : Path
     quick : bool
-        Leave out what takes longer than a tenth of a second: surfaces in three dimensions, and
-        scores that the journal does not hold.
+        Skip parts that take more than 0.1 s: surfaces in three dimensions, and scores that are
+        not in the journal.
 
     Raises
     ------
     InputError
-        If there is no study in that folder.
+        If there is no study in the folder.
     StoreError
         If its journal is damaged.
     """

@@ -1,4 +1,4 @@
-"""Figures of a study for a notebook: how its scores fell, and sections through its bodies."""
+"""Figures of a study for a notebook: its scores, and sections through its bodies."""
 
 import math
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ from palpate.storage.records.best_candidate import score_of
 from palpate.storage.records.record import EvaluationRecord
 
 PANEL_IN = 2.6
-# Of titles, ticks and the legend.
+# Font size of titles, ticks and the legend.
 AROUND_IN = 1.5
 
 
@@ -73,7 +73,7 @@ def slices_figure(folder: Path, view_name: str) -> Figure:
     Raises
     ------
     InputError
-        If there is no such view, or the store has none of the volumes.
+        If the view is unknown, or the store has none of the volumes.
     """
     views = {view.name: view for view in VIEWS}
     if view_name not in views:

@@ -1,9 +1,9 @@
-"""Writes the page of a study while it runs, after every generation.
+"""The live page of a running study, written after every generation.
 
-The page is written by a thread of its own, so that the search never waits for it, and never
-takes more than a small part of the time: a page is put off until those before it have cost less
-than that. The first page is not counted, since it also loads what all others use. What takes
-long, surfaces in three dimensions and scores by tissue, is left to the end.
+A separate thread writes the page, so the search never waits for it, and it takes only a small
+fraction of the time: a page is postponed until the earlier ones have cost less than that. The
+first page does not count, because it also loads shared data. Slow parts, surfaces in three
+dimensions and scores by tissue, are left to the end.
 """
 
 import logging
@@ -24,21 +24,21 @@ from palpate.storage.records.tasks import PreparedBody, PreparedTarget
 
 _log = logging.getLogger(__name__)
 
-# Of the time that the search takes.
+# Fraction of the time of the search.
 SHARE = 0.01
 
 
 class LivePage(Observer):
-    """Keeps the page of a study new; use it as a context around the run.
+    """An observer that keeps the page of a study up to date; a context around the run.
 
     Parameters
     ----------
     folder : Path
-        Of the study.
+        Folder of the study.
     share : float
-        Part of the time that may go into pages, 0 to 1.
+        Maximum fraction of the time for pages, 0 to 1.
     clock : callable
-        Seconds since some moment.
+        Returns the time in seconds.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class LivePage(Observer):
 
     @property
     def path(self) -> Path:
-        """Return where the page lies."""
+        """Return the path of the page."""
         return StudyLayout(self.folder).report
 
     def __enter__(self) -> "LivePage":
@@ -79,15 +79,15 @@ class LivePage(Observer):
             self._wanted.set()
 
     def generation_ended(self, number: int, generation: Generation) -> None:
-        """Write the page anew, soon."""
+        """Schedule an update of the page."""
         self._wanted.set()
 
     def started(self, facts: StudyFacts) -> None:
-        """Count the time from here."""
+        """Start counting the time."""
         self._began = self.clock()
 
     def due_s(self) -> float:
-        """Return in how many seconds the next page may be written."""
+        """Return the seconds until the next page may be written."""
         cost = self.spent_s / max(1, self.pages - 1)
         return self._began + (self.spent_s + cost) / self.share - self.clock()
 

@@ -1,4 +1,4 @@
-"""Writes the page of a study: one file, which needs no other."""
+"""The page of a study, in one self-contained file."""
 
 from pathlib import Path
 
@@ -15,19 +15,19 @@ def write_report(study_dir: Path, *, quick: bool = False) -> Path:
     Parameters
     ----------
     study_dir : Path
-        Folder of the study. Its store is only read; what it has lost is said in words.
+        Folder of the study. Its store is only read; missing data are named on the page.
     quick : bool
-        Leave out what takes long; see `service.report.study.data.read_study_data`.
+        Skip slow parts; see `service.report.study.data.read_study_data`.
 
     Returns
     -------
     Path
-        The file, which replaces an older one only when it is complete.
+        The file; an older one is replaced atomically.
 
     Raises
     ------
     InputError
-        If there is no study in that folder.
+        If there is no study in the folder.
     StoreError
         If its journal is damaged, or the report cannot be written.
     """

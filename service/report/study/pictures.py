@@ -1,4 +1,4 @@
-"""Draws the pictures of a study's page: charts, sections and what its viewers show."""
+"""Pictures of a study's page: charts, sections and viewer data."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,14 +27,14 @@ from palpate.workers.mechanics.pressed import Pressed
 from palpate.workers.organs.registry import pressed_of
 from palpate.workers.spec import CaseSpec
 
-# Named in the script, which looks for charts of this kind.
+# The script looks for charts of this kind by name.
 EVALUATIONS = "evaluations"
 BEST = "best"
 
 
 @dataclass(frozen=True)
 class SectionRow:
-    """Sections of all bodies in one view, each with its title, and what stands below them."""
+    """Sections of all bodies in one view, each with its title, and the caption below."""
 
     panels: tuple[tuple[str, Markup], ...]
     wide: bool
@@ -42,7 +42,7 @@ class SectionRow:
 
 
 def evaluated_points(endings: Iterable[EvaluationRecord]) -> list[EvaluationPoint]:
-    """Return every evaluation as a point; those without a score at +inf."""
+    """Return every evaluation as a point, with +inf for missing scores."""
     return [
         EvaluationPoint(
             r.generation,
@@ -56,7 +56,7 @@ def evaluated_points(endings: Iterable[EvaluationRecord]) -> list[EvaluationPoin
 def evaluation_data(
     endings: Iterable[EvaluationRecord], units: Mapping[str, str], axis: str = "GSF"
 ) -> Markup:
-    """Return what the charts say of an evaluation under the pointer, as an element of the page."""
+    """Return the tooltip data of evaluations as a page element."""
     ordered = sorted(endings, key=lambda r: r.candidate)
     genes = list(ordered[0].genes) if ordered else []
     names = [f"{bare(g, units.get(g, ''))}, {units[g]}" if units.get(g) else g for g in genes]
@@ -73,7 +73,7 @@ def evaluation_data(
 
 
 def best_tenth(points: Sequence[EvaluationPoint]) -> dict[str, list[float]]:
-    """Return the parameters of the best tenth of the different candidates, at least two."""
+    """Return the parameters of the best tenth of the distinct candidates, at least two."""
     different = {tuple(p.genes.values()): p for p in points if p.score < math.inf}
     ranked = sorted(different.values(), key=lambda p: p.score)
     good = ranked[: max(2, math.ceil(len(ranked) / 10))]
@@ -83,7 +83,7 @@ def best_tenth(points: Sequence[EvaluationPoint]) -> dict[str, list[float]]:
 def searched_parameters(
     estimates: Mapping[str, ParameterEstimate], known: Identification | None = None
 ) -> list[SearchedParameter]:
-    """Return the estimates of a study as the charts need them."""
+    """Return the estimates of a study for the charts."""
     constants = {} if known is None else known.constants
     intervals = {
         name: (c.interval.lower, c.interval.upper) for name, c in constants.items() if c.interval
@@ -99,7 +99,7 @@ def searched_parameters(
 def convergence_picture(
     points: Sequence[EvaluationPoint], generations: Sequence[GenerationScores], axis: str = "GSF"
 ) -> Picture | None:
-    """Draw how the scores fell; None if there are none."""
+    """Draw the scores over evaluations; None if there are none."""
     if not any(p.score < math.inf for p in points):
         return None
     best = [g.best for g in generations]
@@ -108,8 +108,7 @@ def convergence_picture(
     return chart(
         lambda width: study_charts.convergence(points, best, mean, width, axis),
         f"Scores of {len(points)} evaluations in {len(best)} complete generations{last}.",
-        "Point at a dot to see its candidate in all charts; with the keyboard, the arrow keys go "
-        "from one to the next.",
+        "Point at a dot to see its candidate in all charts. On the keyboard, use the arrow keys.",
         chart=EVALUATIONS,
     )
 
@@ -126,7 +125,7 @@ def range_picture(
     return chart(
         lambda width: study_charts.ranges(parameters, cloud, width),
         alt,
-        "The strokes show where the search has gone, which is no interval of confidence.",
+        "The strokes show the values that the search has tried, not confidence intervals.",
         [
             ("parameter", "estimate", "interval_low", "interval_high", "target", "lower", "upper"),
             *(
@@ -155,7 +154,7 @@ def scatter_pictures(
 
 
 def section_pictures(bodies: Bodies, labels: Iterable[str], case: CaseSpec) -> list[SectionRow]:
-    """Draw three views of the bodies that are there."""
+    """Draw three views of the available bodies."""
     plates = plates_of(bodies, case)
     tissues = _compared(bodies, labels)
     middle = study_sections.middles(bodies, tissues)
@@ -177,7 +176,7 @@ def section_pictures(bodies: Bodies, labels: Iterable[str], case: CaseSpec) -> l
 
 
 def plates_of(bodies: Bodies, case: CaseSpec) -> dict[str, Plates]:
-    """Return the plates at the deformed bodies, by their names in the slice viewer."""
+    """Return the plates at the deformed bodies, by name in the slice viewer."""
     pressed = pressed_of(case)
     if pressed is None:
         return {}
@@ -190,7 +189,7 @@ def plates_of(bodies: Bodies, case: CaseSpec) -> dict[str, Plates]:
 
 
 def slice_data(bodies: Bodies, labels: Iterable[str], case: CaseSpec) -> Json | None:
-    """Return what the slice viewer shows; None if there is no body."""
+    """Return the data of the slice viewer; None if there is no body."""
     volumes = {
         name: volume
         for name, volume in (
@@ -226,7 +225,7 @@ def slice_data(bodies: Bodies, labels: Iterable[str], case: CaseSpec) -> Json | 
 
 
 def body_data(bodies: Bodies, case: CaseSpec) -> Json | None:
-    """Return what the 3-D viewer shows; None if the body has no surfaces."""
+    """Return the data of the 3-D viewer; None if the body has no surfaces."""
     if not bodies.surfaces:
         return None
     surfaces = [
@@ -248,7 +247,7 @@ def body_data(bodies: Bodies, case: CaseSpec) -> Json | None:
 
 
 def stage_picture(seconds: Mapping[str, float]) -> Picture | None:
-    """Draw the shares of the stages; None if no time was taken."""
+    """Draw the shares of the stages; None if no time was recorded."""
     total = sum(seconds.values())
     if total <= 0:
         return None

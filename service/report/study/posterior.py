@@ -1,4 +1,4 @@
-"""The corner plot of a study: its constants as its image determines them."""
+"""The corner plot of the constants of a study."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -28,7 +28,7 @@ def posterior_figure(results: StudyResults, constants: Sequence[str] | None = No
     InputError
         If a constant is unknown or has no interval, with the reason.
     """
-    # Loads matplotlib, which most pages do without.
+    # Loads matplotlib, which most pages do not need.
     from palpate.service.report.drawing.corner import CornerVariable, corner_plot
 
     samples = draw_samples(results, DRAWS, constants=constants)
@@ -43,7 +43,7 @@ def posterior_figure(results: StudyResults, constants: Sequence[str] | None = No
 
 
 def posterior_picture(results: StudyResults) -> Picture | None:
-    """Draw the constants that have intervals; None where fewer than two have."""
+    """Draw the constants with intervals; None if there are fewer than two."""
     known = constants_with_samples(results)
     if len(known) < 2:
         return None
@@ -55,9 +55,9 @@ def posterior_picture(results: StudyResults) -> Picture | None:
     )
     targets = any(results.estimates[name].target is not None for name in known)
     caption = (
-        "What the image leaves open. Contours hold 50 % and 90 % of the probability, and shaded "
-        "ranges are the 90 % intervals. A slanted contour shows that the error of one constant "
-        "can be made up by the other. Line and dot: estimate"
+        "Remaining uncertainty. Contours contain 50 % and 90 % of the probability; shaded "
+        "ranges are the 90 % intervals. A slanted contour shows that errors of the two "
+        "constants can compensate. Line and dot: estimate"
         + ("; dashed line and diamond: target." if targets else ".")
     )
     return picture(posterior_figure(results, known), f"Posterior. {alt}.", caption)

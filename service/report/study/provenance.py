@@ -1,4 +1,4 @@
-"""Says how the numbers of a page came about: when, from what, with which code and command."""
+"""Provenance of the numbers on a page: date, inputs, code and command."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ Row = tuple[str, str]
 
 @dataclass(frozen=True)
 class Made:
-    """How a diagnosis was made.
+    """Provenance of a diagnosis.
 
     Parameters
     ----------
     when : str
-        Date and time, ISO 8601; empty if it is not known.
+        Date and time, ISO 8601; empty if unknown.
     command : str
     seconds : float or None
-        How long it took; None if the store had it already.
+        Run time; None if the diagnosis came from the store.
     inputs : sequence of (str, str)
-        What was read, and its digest.
+        Inputs and their digests.
     mesh : str
     noise : str
     """
@@ -37,7 +37,7 @@ class Made:
 
 
 def study_provenance(data: StudyData) -> list[Row]:
-    """Return how a study was made, as far as its journal says."""
+    """Return the provenance of a study from its journal."""
     results = data.results
     rows: list[Row] = []
     if data.sessions:
@@ -51,7 +51,7 @@ def study_provenance(data: StudyData) -> list[Row]:
     noise = (
         "none: the target was simulated with the same model"
         if results.target_kind == "simulated"
-        else "that of the segmentation, which the score does not know"
+        else "segmentation error, which the score does not model"
     )
     if results.target_kind is not None:
         rows.append(("Noise", noise))
@@ -64,7 +64,7 @@ def study_provenance(data: StudyData) -> list[Row]:
 
 
 def diagnosis_provenance(made: Made, versions: Mapping[str, str]) -> list[Row]:
-    """Return how a diagnosis was made."""
+    """Return the provenance of a diagnosis."""
     rows: list[Row] = []
     if made.when:
         rows.append(("Date", moment(made.when)))
@@ -74,14 +74,14 @@ def diagnosis_provenance(made: Made, versions: Mapping[str, str]) -> list[Row]:
     if made.seconds is not None:
         rows.append(("Run time", duration(made.seconds)))
     elif made.when:
-        rows.append(("Run time", "the store held it already"))
+        rows.append(("Run time", "reused from the store"))
     if made.command:
         rows.append(("Command", made.command))
     return rows
 
 
 def version_rows(versions: Mapping[str, str]) -> list[Row]:
-    """Return Palpate's version and that of its code, the others in one line."""
+    """Return the versions of Palpate and its code, and the others in one line."""
     known = dict(versions)
     rows = []
     if palpate := known.pop("palpate", ""):
@@ -94,7 +94,7 @@ def version_rows(versions: Mapping[str, str]) -> list[Row]:
 
 
 def moment(iso: str) -> str:
-    """Write a date and a time for a reader, in UTC.
+    """Format a date and a time in UTC.
 
     Examples
     --------
@@ -111,7 +111,7 @@ def moment(iso: str) -> str:
 
 
 def mesh_text(facts: BodyFacts) -> str:
-    """Return what is known of a mesh in a phrase."""
+    """Return a description of a mesh."""
     parts = []
     for key, what in (("nodes", "nodes"), ("tets", "tetrahedra"), ("triangles", "triangles")):
         if key in facts:
@@ -122,7 +122,7 @@ def mesh_text(facts: BodyFacts) -> str:
 
 
 def _inputs(data: StudyData) -> list[str]:
-    """Return body, mesh and target: where they came from, and their digests in the store."""
+    """Return body, mesh and target: their origin, and their digests in the store."""
     session = data.session
     if session is None:
         return []

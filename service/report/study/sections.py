@@ -1,4 +1,4 @@
-"""Draws reference, target, best candidate and difference side by side along one axis."""
+"""Sections of reference, target, best candidate and difference, side by side."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -52,19 +52,19 @@ def side_by_side(
     middle: tuple[Triple | None, Triple | None],
     plates: Mapping[str, Plates],
 ) -> SideBySide | None:
-    """Draw one view of all bodies that are there; None if there is none.
+    """Draw one view of all available bodies; None if there is none.
 
     Parameters
     ----------
     bodies : Bodies
     view : View
     tissues : sequence of int
-        That are compared.
+        Compared tissues.
     middle : tuple
-        Where the planes pass: through the undeformed body, and through target and best
-        candidate; see `middles`.
+        Points on the planes through the undeformed body, and through target and best candidate;
+        see `middles`.
     plates : mapping of str to Plates
-        At the ``target`` and the ``best`` candidate.
+        Plates at the ``target`` and the ``best`` candidate.
     """
     shown = cut_bodies(bodies, view, tissues, middle)
     if not shown:
@@ -86,9 +86,9 @@ def side_by_side(
 
 
 def middles(bodies: Bodies, tissues: Sequence[int]) -> tuple[Triple | None, Triple | None]:
-    """Return where the undeformed body and the target are cut: in the middle of `tissues`.
+    """Return the points where the undeformed body and the target are cut, amid `tissues`.
 
-    Target and best candidate are cut in the same place.
+    Target and best candidate are cut at the same place.
     """
     first = None if bodies.reference is None else middle_mm(bodies.reference, tissues)
     explained = bodies.target if bodies.target is not None else bodies.best
@@ -96,14 +96,14 @@ def middles(bodies: Bodies, tissues: Sequence[int]) -> tuple[Triple | None, Trip
 
 
 def present(bodies: Bodies) -> list[tuple[str, str]]:
-    """Return (colour, name) of every tissue that a legend needs."""
+    """Return (colour, name) of every tissue in a legend."""
     volumes = [v for v in (bodies.reference, bodies.target, bodies.best) if v is not None]
     there = [t for t in bodies.labels if any((v.values == t).any() for v in volumes)]
     return [(palette.TISSUES[Tissue(t)], bodies.labels[t]) for t in there]
 
 
 def difference_legend() -> list[tuple[str, str]]:
-    """Return (colour, meaning) of the colours of a difference."""
+    """Return (colour, meaning) pairs of a difference."""
     meaning = {
         Difference.BOTH: "in both",
         Difference.ONLY_TARGET: "only in the target",
@@ -119,7 +119,7 @@ def cut_bodies(
     tissues: Sequence[int],
     middle: tuple[Triple | None, Triple | None],
 ) -> list[tuple[str, Section, bool]]:
-    """Return the title and section of every body that is there, and of their difference.
+    """Return the title and section of every available body, and of their difference.
 
     The third value is True for the difference.
     """
@@ -170,7 +170,7 @@ def _panel(
         "image",
         href=png_uri(shown.values, DIFFERENCE_COLOURS if differs else TISSUE_COLOURS),
         preserveAspectRatio="none",
-        # Voxels smaller than pixels are averaged, lest thin skin show holes.
+        # Voxels smaller than pixels are averaged, to avoid holes in thin skin.
         class_="voxels" if shown.values.shape[1] <= across.at(b) - across.at(a) else "small",
         x=across.at(a),
         y=up.at(d),

@@ -1,4 +1,4 @@
-"""Makes the surfaces of a study's body: at rest, under load, and how far they miss the target."""
+"""Surfaces of a study's body: at rest, under load, and their distance from the target."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -13,9 +13,9 @@ from palpate.workers.comparison.observation.signed_distance import signed_distan
 from palpate.workers.diagnosis.problem.shapes import shape
 
 INTERFACES: Sequence[Interface] = (OUTLINE, GLANDULAR)
-# Points this near to the chest wall lie where the image was cut, on no interface.
+# Points this close to the chest wall are where the image was cut, not on an interface.
 WALL_MARGIN_MM = 3.0
-# Farther apart than this is not drawn apart.
+# Larger distances are drawn as this one.
 BAND_MM = 12.0
 
 
@@ -30,9 +30,9 @@ class StudySurface:
         At rest, in mm.
     triangles : ndarray of int32, shape (m, 3)
     moved : ndarray, shape (n, 3), or None
-        Under load as the best candidate says.
+        Positions under load for the best candidate.
     gap_mm : ndarray, shape (n,), or None
-        From the same interface of the target, positive outside of it; nan at the chest wall.
+        Distance from the interface of the target, positive outside; nan at the chest wall.
     """
 
     name: str
@@ -48,18 +48,18 @@ def study_surfaces(
     displacement_mm: FloatArray | None,
     target: Volume | None,
 ) -> tuple[StudySurface, ...]:
-    """Return the outline of a body and of its gland, as far as there are such.
+    """Return the outlines of a body and of its gland, if they exist.
 
     Parameters
     ----------
     reference : Volume
         `Tissue` labels at rest.
     mesh : TetMesh or None
-        Of n nodes.
+        Mesh of n nodes.
     displacement_mm : ndarray, shape (n, 3), or None
-        Of the best candidate.
+        Displacement of the best candidate.
     target : Volume or None
-        `Tissue` labels of the body that is explained.
+        `Tissue` labels of the target.
     """
     found = []
     reference = _in_air(reference)
@@ -67,13 +67,13 @@ def study_surfaces(
         try:
             drawn = shape(reference, interface.inside)
         except InputError:
-            continue  # there is no such tissue, or too little of it
+            continue  # the tissue is missing or too small
         moved = gap = None
         if mesh is not None and displacement_mm is not None:
             try:
                 moved = drawn.vertices + interpolation(mesh, drawn.vertices) @ displacement_mm
             except InputError:
-                moved = None  # the mesh is of another body
+                moved = None  # the mesh belongs to another body
         if moved is not None and target is not None:
             gap = _gap(interface, drawn.vertices, moved, target)
         found.append(StudySurface(interface.name, drawn.vertices, drawn.triangles, moved, gap))
@@ -81,7 +81,7 @@ def study_surfaces(
 
 
 def _in_air(labels: Volume) -> Volume:
-    """Return a body with air around it but below the chest wall, so that its surface is closed."""
+    """Return a body padded with air except below the chest wall, to close its surface."""
     around = ((0, 1), (1, 1), (1, 1))
     (dx, dy, _), (x, y, z) = labels.spacing_mm, labels.origin_mm
     values = np.pad(labels.values, around)

@@ -1,4 +1,4 @@
-"""Makes the rows of the tables of a study's page, ready to print."""
+"""Formatted table rows of a study's page."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from palpate.workers.organs.registry import organ_plugin
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """A searched parameter: its estimate, and what is known of it."""
+    """A searched parameter: its estimate, interval, target and bounds."""
 
     symbol: Markup
     unit: str
@@ -42,7 +42,7 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class SimilarityRow:
-    """A tissue before and after the fit, as (before, after) texts."""
+    """Scores of a tissue, as (before, after) texts."""
 
     tissue: str
     searched: bool
@@ -67,7 +67,7 @@ class FailureRow:
 
 @dataclass(frozen=True)
 class StageRow:
-    """Time that evaluations spent in one stage."""
+    """Time spent by evaluations in one stage."""
 
     name: str
     total: str
@@ -78,7 +78,7 @@ class StageRow:
 def parameters(
     estimates: Mapping[str, ParameterEstimate], known: Identification | None = None
 ) -> list[ParameterRow]:
-    """Return a row for each parameter: its estimate beside interval, target and bounds."""
+    """Return a row for each parameter: estimate, interval, target and bounds."""
     constants = {} if known is None else known.constants
     words = verdicts(known, estimates)
     return [
@@ -100,7 +100,7 @@ def parameters(
 def similarities(
     before: Mapping[str, Scores], after: Mapping[str, Scores], searched: Iterable[str]
 ) -> list[SimilarityRow]:
-    """Return a row for each tissue with its scores; the searched tissues come first."""
+    """Return a row of scores for each tissue, the searched tissues first."""
     compared = set(searched)
     return [
         _similarity(tissue, tissue in compared, before.get(tissue, {}), after.get(tissue, {}))
@@ -142,7 +142,7 @@ def _constant(name: str, value: float, units: Mapping[str, str]) -> Markup:
 
 
 def stages(times: Mapping[str, StageTime]) -> list[StageRow]:
-    """Return a row for each stage: where the time of the computed evaluations went."""
+    """Return a row for each stage, with the time of the computed evaluations."""
     total_s = sum(time.total_s for time in times.values())
     return [
         StageRow(
@@ -156,7 +156,7 @@ def stages(times: Mapping[str, StageTime]) -> list[StageRow]:
 
 
 def outcome(solver: OutcomeJson) -> list[tuple[str, str | Markup]]:
-    """Return what the solver says of the best simulation; keys that it left out are left out."""
+    """Return the solver's figures of the best simulation, without missing ones."""
     rows: list[tuple[str, str | Markup]] = []
     for name, value, unit, digits in (
         ("Displacement of the apex", solver.get("apex_displacement_um"), "µm", 4),
@@ -183,7 +183,7 @@ def outcome(solver: OutcomeJson) -> list[tuple[str, str | Markup]]:
 
 
 def case(organ: str, facts: BodyFacts) -> list[tuple[str, str]]:
-    """Return what body and mesh are like, as the organ words it."""
+    """Return the organ's description of body and mesh."""
     known: Mapping[str, Any] = facts
     rows = [(f.label, _fact(known[f.key], f)) for f in organ_plugin(organ).facts if f.key in known]
     if "voxels" in known:

@@ -1,6 +1,6 @@
-"""Says what the 3-D viewer of a page shows; see scripts/body.js.
+"""Data of the 3-D viewer of a page; see scripts/body.js.
 
-Surfaces at rest and under load, colours on them, and what acts on the body: plates, the arrows
+They are surfaces at rest and under load, their colours, and the loads on the body: plates, arrows
 of their forces, the chest wall.
 """
 
@@ -15,7 +15,7 @@ from palpate.service.report.drawing.packed import Json, packed, packed_points, p
 from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.mechanics.pressed import Pressed
 
-# How far plates and wall reach beyond the body, and how long arrows are, as shares of its size.
+# Overhang of plates and wall, and length of arrows, relative to the size of the body.
 BEYOND, ARROW = 0.1, 0.22
 
 
@@ -31,17 +31,17 @@ class BodySurface:
 
 @dataclass(frozen=True, eq=False)
 class BodyScan:
-    """What one load does to the surfaces, in their order.
+    """The surfaces under one load, in their order.
 
     Parameters
     ----------
     name : str
     pressed : Pressed
     moved : sequence of mapping of str to ndarray, shape (n, 3)
-        Vertices under load by the name of the model; empty where they are not known.
+        Vertices under load by the name of the model; empty if unknown.
     gap : sequence of mapping of str to ndarray, shape (n,)
-        Signed distance in mm from what was observed, by the name of the model; nan where it is
-        not known. Positive where the model lies outside.
+        Signed distance in mm from the observed surface, by the name of the model; nan if
+        unknown. Positive if the model is outside.
     """
 
     name: str
@@ -58,7 +58,7 @@ def body_viewer(
     gap_mm: float | None = None,
     first: str = "displacement",
 ) -> Json:
-    """Return what the 3-D viewer shows, which `script` puts into a page as "body".
+    """Return the data of the 3-D viewer, which `script` puts into a page as "body".
 
     Parameters
     ----------
@@ -68,11 +68,11 @@ def body_viewer(
     choices : sequence of (str, str)
         Models by name, and their titles.
     gap_about : str
-        What the colours of the gap mean.
+        Meaning of the colours of the gap.
     gap_mm : float, optional
         End of their scale.
     first : {"displacement", "gap"}
-        What colours show first: how far the body has moved, or the gap.
+        Initial quantity of the colours: displacement or gap.
     """
     outline = surfaces[0].vertices
     moved = [m for scan in scans for m in scan.moved[0].values()] if scans else []
@@ -121,7 +121,7 @@ def _colourings(
                 "title": "displacement",
                 "range": [0.0, round(most, 2)],
                 "stops": SEQUENTIAL,
-                "about": "how far the simulated surface has moved",
+                "about": "displacement of the simulated surface",
             }
         )
     gaps = [g[np.isfinite(g)] for scan in scans for models in scan.gap for g in models.values()]

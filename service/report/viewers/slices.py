@@ -1,4 +1,4 @@
-"""Says what the slice viewer of a page shows; see scripts/slices.js."""
+"""Data of the slice viewer of a page; see scripts/slices.js."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,16 +25,16 @@ class SlicePanel:
     Parameters
     ----------
     title : str
-        ``$choice`` stands for the model that is chosen.
+        ``$choice`` is replaced by the chosen model.
     kind : {"labels", "difference", "overlay"}
     volumes : tuple of str
-        One, or two that are compared; ``$choice`` as above.
+        One volume, or two to compare; ``$choice`` as above.
     tissues : tuple of int
-        That are compared; of an overlay, the gland.
+        Compared tissues; for an overlay, the gland.
     outline : str
-        A volume whose outline, and that of its `tissues`, is drawn over the slice; empty for none.
+        A volume whose outline and `tissues` outlines are drawn over the slice; empty for none.
     coloured : tuple of str
-        Fields by one of which the slice can be coloured instead.
+        Fields available for colouring the slice.
     """
 
     title: str
@@ -47,7 +47,7 @@ class SlicePanel:
 
 @dataclass(frozen=True, eq=False)
 class SliceSet:
-    """The volumes of one scan by name, and the place where slices begin, (x, y, z) in mm.
+    """The volumes of one scan by name, and the initial position of slices, (x, y, z) in mm.
 
     Parameters
     ----------
@@ -55,10 +55,10 @@ class SliceSet:
     volumes : mapping of str to Volume
     at_mm : tuple of float
     plates : mapping of str to Plates
-        Between which a volume lies.
+        Plates around a volume.
     fields : mapping of str to Volume
-        Lengths in mm by name, or by ``NAME:CHOICE`` for one model; nan where none is known. Fields
-        of one name have one scale.
+        Lengths in mm by name, or by ``NAME:CHOICE`` for one model; nan if unknown. Fields
+        with the same name share a scale.
     """
 
     name: str
@@ -77,22 +77,22 @@ def slice_viewer(
     choices: Sequence[tuple[str, str]] = (),
     meanings: Mapping[str, str] = MappingProxyType({}),
 ) -> Json:
-    """Return what the slice viewer shows, which `script` puts into a page as "slices".
+    """Return the data of the slice viewer, which `script` puts into a page as "slices".
 
     Parameters
     ----------
     sets : sequence of SliceSet
     panels : sequence of SlicePanel
-        Those whose volumes are there are shown.
+        Panels without volumes are skipped.
     views : sequence of View
     labels : mapping of int to (str, str)
         Name and colour of each label.
     differences : sequence of (str, str)
         Meaning and colour: outside, rest of the body, in both, in the first, in the second.
     choices : sequence of (str, str)
-        Names of volumes that stand for ``$choice``, and their titles.
+        Values of ``$choice``, and their titles.
     meanings : mapping of str to str
-        What each field shows, in words.
+        Description of each field.
     """
     flat = len(views) == 1
     return {
@@ -125,7 +125,7 @@ def _set(one: SliceSet) -> Json:
     thin = {name: thinned(volume) for name, volume in one.volumes.items()}
     boxes = [body_box_mm(volume) for volume in thin.values()]
     steps = next(iter(thin.values())).spacing_mm
-    # Whole voxels: slices are then drawn voxel by voxel, and none is skipped.
+    # Whole voxels: slices are drawn voxel by voxel, without gaps.
     room = [step * math.ceil(MARGIN_MM / step) for step in steps]
     box = [
         [min(b[0][k] for b in boxes) - room[k], max(b[1][k] for b in boxes) + room[k]]
@@ -145,14 +145,14 @@ def _set(one: SliceSet) -> Json:
 
 
 def _end(field: str, one: SliceSet) -> float:
-    """Return the largest length of all fields that have the name of this one."""
+    """Return the largest length in all fields with this name."""
     name = field.partition(":")[0]
     alike = (lengths.values for key, lengths in one.fields.items() if key.partition(":")[0] == name)
     return max(0.01, *(float(np.nanmax(v, initial=0.0)) for v in alike))
 
 
 def _field(lengths: Volume, end: float) -> Json:
-    """Return lengths in 254 steps from 0 to an end; 0 where they are not known."""
+    """Return lengths quantised to 254 steps; 0 if unknown."""
     known = np.isfinite(lengths.values)
     steps = np.where(known, 1 + np.rint(np.nan_to_num(lengths.values) / end * 254), 0)
     shown = replace(lengths, values=steps.astype(np.uint8))

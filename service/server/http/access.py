@@ -1,4 +1,4 @@
-"""Who asks: a bearer token, or the cookie that it was exchanged for."""
+"""Authentication by a bearer token, or by the cookie that it was exchanged for."""
 
 from typing import Annotated
 
@@ -13,12 +13,12 @@ from palpate.service.server.service import Service
 COOKIE = "palpate_token"
 COOKIE_S = 30 * 24 * 3600
 
-_bearer = HTTPBearer(auto_error=False, description="A token of `palpate token new NAME`.")
+_bearer = HTTPBearer(auto_error=False, description="A token created by `palpate token new NAME`.")
 Credentials = Annotated[HTTPAuthorizationCredentials | None, Depends(_bearer)]
 
 
 def service_of(request: Request) -> Service:
-    """Return the service that a request is for."""
+    """Return the service of a request."""
     service: Service = request.app.state.service
     return service
 
@@ -29,50 +29,50 @@ Here = Annotated[Service, Depends(service_of)]
 def owner_of(
     request: Request, service: Service, credentials: HTTPAuthorizationCredentials | None
 ) -> Owner | None:
-    """Return who asks; None for a stranger."""
+    """Return the owner of a request's token; None without a valid token."""
     given = credentials.credentials if credentials else request.cookies.get(COOKIE, "")
     return service.tokens.holder(given) if given else None
 
 
 def known(request: Request, service: Here, credentials: Credentials) -> Owner:
-    """Return who asks.
+    """Return the owner of a request's token.
 
     Raises
     ------
     HTTPException
-        401 without a token that is known.
+        401 without a valid token.
     """
     owner = owner_of(request, service, credentials)
     if owner is None:
         given = credentials or request.cookies.get(COOKIE)
-        what = "This token is not known" if given else "This needs a token"
+        what = "This token is not valid" if given else "This needs a token"
         raise HTTPException(
             401,
-            f"{what}: send `Authorization: Bearer TOKEN`. `palpate token new NAME` makes one.",
+            f"{what}: send `Authorization: Bearer TOKEN`. `palpate token new NAME` creates one.",
             {"WWW-Authenticate": "Bearer"},
         )
     return owner
 
 
 def writer(owner: Annotated[Owner, Depends(known)]) -> Owner:
-    """Return who writes.
+    """Return the owner of a token that allows writing.
 
     Raises
     ------
     HTTPException
-        401 without a token that is known, 403 with one that may only read.
+        401 without a valid token, 403 with a read-only one.
     """
     if not owner.submits:
         raise HTTPException(
             403,
-            f"The token {owner.name} may only read. `palpate token new NAME --role submit` makes "
-            "one that may upload and submit.",
+            f"The token {owner.name} is read-only. `palpate token new NAME --role submit` creates "
+            "one that can upload and submit.",
         )
     return owner
 
 
 def check_may_change(owner: Owner, job: Job) -> None:
-    """Refuse whoever neither submitted a job nor is an admin.
+    """Refuse a request to change a job by anyone but its owner or an admin.
 
     Raises
     ------
@@ -82,13 +82,13 @@ def check_may_change(owner: Owner, job: Job) -> None:
     if not owner.may_change(job.owner):
         raise HTTPException(
             403,
-            f"{job.id} was submitted by {job.owner}: only that token, or one with the role admin, "
-            "may change it.",
+            f"{job.id} was submitted by {job.owner}: only that token, or an admin's, "
+            "can change it.",
         )
 
 
 def still_reads(request: Request, service: Service) -> bool:
-    """Return whether a request that is being answered would still be allowed to read."""
+    """Return whether a request in progress would still be allowed to read."""
     if not service.read_token:
         return True
     scheme, _, given = request.headers.get("Authorization", "").partition(" ")
@@ -97,12 +97,12 @@ def still_reads(request: Request, service: Service) -> bool:
 
 
 def reader(request: Request, service: Here, credentials: Credentials) -> None:
-    """Refuse who may not read; without ``--read-token`` everybody may.
+    """Refuse a request without read access; without ``--read-token`` everyone has it.
 
     Raises
     ------
     HTTPException
-        401 without a token that is known.
+        401 without a valid token.
     """
     if service.read_token:
         known(request, service, credentials)
@@ -112,15 +112,15 @@ Writer = Annotated[Owner, Depends(writer)]
 
 
 def sign_in(service: Service, given: SignIn, response: Response, *, secure: bool) -> None:
-    """Put a token into a cookie that scripts cannot read and other sites do not send.
+    """Store a token in a cookie that scripts cannot read and other sites do not send.
 
     Raises
     ------
     HTTPException
-        401 if the token is not known.
+        401 if the token is not valid.
     """
     if service.tokens.owner(given.token) is None:
-        raise HTTPException(401, "This token is not known.", {"WWW-Authenticate": "Bearer"})
+        raise HTTPException(401, "This token is not valid.", {"WWW-Authenticate": "Bearer"})
     response.set_cookie(
         COOKIE, given.token, COOKIE_S, httponly=True, samesite="strict", secure=secure
     )

@@ -45,8 +45,8 @@ from palpate.storage.errors import InputError, PalpateError
 
 _log = logging.getLogger(__name__)
 
-ABOUT = """Studies and diagnoses of Palpate on one cluster. What writes needs a token
-(`Authorization: Bearer TOKEN`). Scores that are infinite are the texts "-inf" and "inf"."""
+ABOUT = """Studies and diagnoses of Palpate on one cluster. Write access needs a token
+(`Authorization: Bearer TOKEN`). Infinite scores are the strings "-inf" and "inf"."""
 
 Name = Annotated[str, PathParameter(pattern=NAME_PATTERN)]
 
@@ -63,9 +63,9 @@ def create_app(
     ----------
     service : Service
     hosts : iterable of str
-        Names under which it may be asked, beside those of this machine.
+        Host names it accepts, in addition to those of this machine.
     stopping : callable
-        Whether streams have to end.
+        Whether streams must end.
     """
     app = FastAPI(
         title="Palpate",
@@ -106,12 +106,12 @@ def _about() -> APIRouter:
 
     @router.get("/health")
     def get_health(service: Here) -> Health:
-        """Say whether the service is up; needs no token."""
+        """Return the state of the service; needs no token."""
         return Health(version=palpate_version(), cluster=service.runner.cluster is not None)
 
     @router.get("/cluster", dependencies=[Depends(reader)])
     def get_cluster(service: Here) -> ClusterView:
-        """Return what the cluster can do and does."""
+        """Return the capacity and load of the cluster."""
         runner = service.runner
         cluster = runner.cluster
         return ClusterView(
@@ -125,7 +125,7 @@ def _about() -> APIRouter:
 
     @router.get("/session")
     def get_session(service: Here, request: Request, credentials: Credentials) -> SessionView:
-        """Say who asks; needs no token."""
+        """Return the signed-in owner and role; needs no token."""
         owner = owner_of(request, service, credentials)
         return SessionView(
             owner=owner.name if owner else "",
@@ -135,12 +135,12 @@ def _about() -> APIRouter:
 
     @router.post("/session", status_code=204, responses=_problems(413))
     def begin_session(service: Here, request: Request, given: SignIn, response: Response) -> None:
-        """Exchange a token for a cookie, which a browser sends when it follows events."""
+        """Exchange a token for a cookie, which browsers send when following events."""
         sign_in(service, given, response, secure=request.url.scheme == "https")
 
     @router.delete("/session", status_code=204)
     def end_session(response: Response) -> None:
-        """Forget the cookie."""
+        """Remove the cookie."""
         response.delete_cookie(COOKIE)
 
     return router
@@ -168,12 +168,12 @@ def _uploads(service: Service) -> APIRouter:
     async def upload(
         service: Here, _: Writer, request: Request, folder: Name, file: Name
     ) -> UploadView:
-        """Upload an image, a case or a recording as it is. An upload is never changed."""
+        """Upload an image, a case or a recording unchanged. An upload cannot be changed later."""
         return UploadView(**vars(await service.uploads.save(folder, file, request.stream())))
 
     @router.delete("/uploads/{folder}", status_code=204, responses=_problems(404, 409))
     def remove_uploads(service: Here, _: Writer, folder: Name) -> None:
-        """Remove a folder of uploads that no unfinished job needs."""
+        """Remove a folder of uploads; no unfinished job may need it."""
         place = str(service.home.uploads / folder)
         for job in service.queue.jobs:
             named = [text for _, text in texts(dict(job.request))]
@@ -189,7 +189,7 @@ def _uploads(service: Service) -> APIRouter:
 
 
 def _metrics(service: Here, _: Annotated[None, Depends(reader)]) -> str:
-    """Return numbers for Prometheus."""
+    """Return metrics for Prometheus."""
     return metrics(service)
 
 
@@ -215,11 +215,11 @@ def _refused_by_palpate(request: Request, error: Exception) -> JSONResponse:
         status = 422
     elif isinstance(error, StateError | ConflictError):
         status = 409
-    else:  # a store or a journal that cannot be used as it is
+    else:  # a store or a journal that cannot be used
         status = 409
     return JSONResponse({"error": public(str(error))}, status)
 
 
 def _crashed(request: Request, error: Exception) -> JSONResponse:
     _log.error("%s %s has crashed.", request.method, request.url.path, exc_info=error)
-    return JSONResponse({"error": "A fault of Palpate's own; the service's log has more."}, 500)
+    return JSONResponse({"error": "Internal error; see the service's log for details."}, 500)

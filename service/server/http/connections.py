@@ -1,8 +1,8 @@
-"""Connections that keep a slot without asking anything are closed; running requests are counted.
+"""Limits on connections and requests; idle connections are closed.
 
-A client has `HEADER_S` seconds to send a complete header, and sends some of a body every
-`BODY_S` seconds. Connections that only wait do not count towards the limit of requests, and when
-there are very many, the one that has waited longest is closed for a new one.
+A client has `HEADER_S` seconds to send a complete header, and must send part of a body every
+`BODY_S` seconds. Waiting connections do not count towards the limit of requests; if there are
+too many, the one that has waited longest is closed for a new one.
 """
 
 import asyncio
@@ -18,35 +18,35 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 HEADER_S = 15.0
 BODY_S = 60.0
 MOST_REQUESTS = 256
-"""Requests that are answered at once; those that follow events have a limit of their own."""
+"""Requests handled at once; event streams have a separate limit."""
 MOST_CONNECTIONS = 4096
 SPARE_FILES = 256
-"""File descriptors that are kept for the work itself."""
+"""File descriptors reserved for the work itself."""
 
 
 class Connection(H11Protocol):
-    """A connection of uvicorn that is closed when nothing comes; see the top of this file."""
+    """A uvicorn connection that is closed when idle; see the top of this file."""
 
     header_s, body_s = HEADER_S, BODY_S
     _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Wait for a header."""
+        """Start waiting for a header."""
         super().connection_made(transport)
         if len(self.connections) > most_connections():
             self._close_longest_waiting()
         self._wait(self.header_s)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no more."""
+        """Stop waiting."""
         self._stop_waiting()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Take data, and wait for more unless a request is complete."""
+        """Receive data, and wait for more unless a request is complete."""
         super().data_received(data)
         if self.is_waiting:
-            if self._deadline is None:  # more of a header gives no more time
+            if self._deadline is None:  # a partial header does not extend the deadline
                 self._wait(self.header_s)
         elif self.conn.their_state is h11.SEND_BODY:
             self._stop_waiting()
@@ -56,7 +56,7 @@ class Connection(H11Protocol):
 
     @property
     def is_waiting(self) -> bool:
-        """Whether no request is being answered: a header is still to come."""
+        """Whether the connection waits for a header and no request is being answered."""
         return self.cycle is None or bool(self.cycle.response_complete)
 
     def _wait(self, seconds: float) -> None:
@@ -69,7 +69,7 @@ class Connection(H11Protocol):
 
     def _close(self) -> None:
         self._deadline = None
-        if not self.is_waiting and self.flow.read_paused:  # it is us who read no more
+        if not self.is_waiting and self.flow.read_paused:  # the server has paused reading
             self._wait(self.body_s)
             return
         if not self.transport.is_closing():
@@ -93,13 +93,13 @@ def _deadline_of(connection: Connection) -> float:
 
 
 def most_connections() -> int:
-    """Return how many connections may be open: what the limit of open files leaves room for."""
+    """Return the most open connections that the limit of open files allows."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return max(16, min(MOST_CONNECTIONS, soft - SPARE_FILES))
 
 
 def allow_open_files() -> None:
-    """Raise the limit of open files of this process as far as the system allows."""
+    """Raise this process's limit of open files as far as the system allows."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = MOST_CONNECTIONS + SPARE_FILES
     if soft < wanted:
@@ -126,9 +126,7 @@ class RequestLimit:
             await self.app(scope, receive, send)
             return
         if self.running >= self.most and not scope["path"].endswith("/health"):
-            answer: Any = JSONResponse(
-                {"error": "Too many requests at this moment: try again later."}, 503
-            )
+            answer: Any = JSONResponse({"error": "Too many requests; try again later."}, 503)
             await answer(scope, receive, send)
             return
         self.running += 1

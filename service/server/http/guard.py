@@ -1,8 +1,8 @@
-"""Stands before the API: who may ask from where, and headers that every answer carries.
+"""Checks of the origin of requests, and headers of every response.
 
 A page of another site can make a browser send requests to a service on this machine. It
-cannot read the answers, and what it writes is refused here, whatever it is signed with:
-by the Host that it names (DNS rebinding), its Origin and its Sec-Fetch-Site.
+cannot read the answers, and its writes are refused here even with valid credentials, because of
+their Host (DNS rebinding), Origin and Sec-Fetch-Site headers.
 """
 
 from collections.abc import Iterable
@@ -35,7 +35,7 @@ class Guard:
     ----------
     app : ASGI application
     hosts : iterable of str
-        Names under which the service may be asked, beside those of this machine.
+        Host names the service accepts, in addition to those of this machine.
     """
 
     def __init__(self, app: ASGIApp, hosts: Iterable[str] = ()) -> None:
@@ -60,20 +60,20 @@ class Guard:
         name = _host_name(host)
         if name is None or not (name in self.hosts or "*" in self.hosts):
             return 421, (
-                f"This service does not answer to the name {host[:80]!r}. Start it with "
-                "--allow-host NAME, or ask under the name of this machine."
+                f"This service does not accept the host name {host[:80]!r}. Start it with "
+                "--allow-host NAME, or use the name of this machine."
             )
         if scope["method"] in SAFE:
             return None
         origin, site = headers.get("origin"), headers.get("sec-fetch-site")
         foreign = origin is not None and _place(origin) != host.lower()
         if foreign or (site is not None and site not in ("same-origin", "none")):
-            return 403, "A page of another site may not change anything here."
+            return 403, "Pages of other sites cannot change anything here."
         return None
 
 
 def _place(origin: str) -> str:
-    """Return host and port of an origin; empty where it is none."""
+    """Return host and port of an origin; empty if it is not valid."""
     try:
         return urlsplit(origin).netloc.lower()
     except ValueError:
@@ -81,7 +81,7 @@ def _place(origin: str) -> str:
 
 
 def _host_name(host: str) -> str | None:
-    """Return the name in a Host header, without its port; None if it makes no sense."""
+    """Return the name in a Host header, without its port; None if it is not valid."""
     try:
         return urlsplit(f"//{host}").hostname
     except ValueError:

@@ -1,4 +1,4 @@
-"""Routes of the API about jobs: submit, list, look, follow, pause, resume, cancel, files."""
+"""Job routes of the API: submit, list, view, follow, pause, resume, cancel, files."""
 
 import json
 import os
@@ -37,7 +37,7 @@ from palpate.service.server.views import ENDED, job_file, job_view, state_of, vi
 from palpate.storage.backends.layout import StudyLayout
 from palpate.storage.errors import InputError
 
-# A page that was made from a study runs in a world of its own, without our cookie.
+# A report page runs in a sandbox, without the session cookie.
 SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; img-src data: blob:; "
     "style-src 'unsafe-inline'; script-src 'unsafe-inline'; font-src data:"
@@ -59,12 +59,12 @@ def _refusals(*codes: int) -> dict[int | str, dict[str, Any]]:
 
 
 def known_job(service: Here, identifier: Identifier) -> Job:
-    """Return the job that a path names.
+    """Return the job named by a path.
 
     Raises
     ------
     HTTPException
-        404 if there is none.
+        404 if it does not exist.
     """
     job = service.queue.get(identifier)
     if job is None:
@@ -81,7 +81,7 @@ def followed_journal(
     since: Offset = 0,
     last_event_id: Annotated[str | None, Header(pattern=r"^[0-9]{1,15}$")] = None,
 ) -> JournalTail:
-    """Return the journal of a job from where a browser has lost it, or from `since` on."""
+    """Return the journal of a job from a browser's last event, or from `since`."""
     offset = since if last_event_id is None else int(last_event_id)
     return JournalTail(StudyLayout(service.home.job(job.id)).journal, offset)
 
@@ -98,7 +98,7 @@ router = APIRouter(
 
 @router.post("/studies", status_code=201, responses=_refusals(409, 413))
 def submit_study(service: Here, owner: Writer, given: StudySubmission, answer: Response) -> JobView:
-    """Queue a study. 201, or 200 with the job that was submitted with the same key before."""
+    """Queue a study. 201, or 200 with the job submitted earlier with the same key."""
     _check_room(service)
     spec = study_from(given.study, service.uploads, service.store, service.limits)
     job, new = service.queue.submit(
@@ -152,7 +152,7 @@ def list_jobs(
     before: Annotated[int | None, Query(ge=0, lt=2**53)] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
 ) -> JobPage:
-    """List jobs, the last submitted first, some at a time."""
+    """List jobs in pages, newest first."""
     chosen = [
         job
         for job in reversed(service.queue.jobs)
@@ -167,7 +167,7 @@ def list_jobs(
 
 @router.get("/jobs/{job}", responses=_refusals(404))
 def get_job(service: Here, job: Known) -> JobView:
-    """Return a job, and how far it is."""
+    """Return a job and its progress."""
     return job_view(service, job)
 
 
@@ -175,9 +175,9 @@ def get_job(service: Here, job: Known) -> JobView:
 def change_job(
     service: Here, owner: Writer, job: Known, action: Literal["pause", "resume", "cancel"]
 ) -> JobView:
-    """Pause a job, resume one that is paused or has failed, or cancel it for good.
+    """Pause a job, resume a paused or failed one, or cancel it permanently.
 
-    Only the token that submitted it may do so, or one with the role admin.
+    Allowed for the token that submitted it and for admins.
     """
     check_may_change(owner, job)
     return job_view(service, service.queue.change(job.id, action))
@@ -185,19 +185,19 @@ def change_job(
 
 @router.patch("/jobs/{job}", responses=_refusals(404))
 def change_priority(service: Here, owner: Writer, job: Known, given: PriorityChange) -> JobView:
-    """Give a job another priority; it counts from the next time that the job is run."""
+    """Change the priority of a job, effective the next time the job runs."""
     check_may_change(owner, job)
     return job_view(service, service.queue.prioritise(job.id, given.priority))
 
 
 @router.get("/jobs/{job}/results", responses=_refusals(404, 409))
 def get_results(service: Here, job: Known) -> dict[str, Any]:
-    """Return what a job has found: as `palpate report --json`, or the record of a diagnosis."""
+    """Return a study's results as `palpate report --json`, or a diagnosis record."""
     if job.kind == "study":
         return study_json(study_results(_begun(service, job)))
     path = job_file(service, job, "diagnosis.json")
     if path is None:
-        raise HTTPException(409, f"{job.id} is {state_of(service, job)}: it has no result.")
+        raise HTTPException(409, f"{job.id} is {state_of(service, job)} and has no result yet.")
     record: dict[str, Any] = json.loads(path.read_bytes())
     return record
 
@@ -206,9 +206,9 @@ def get_results(service: Here, job: Known) -> dict[str, Any]:
 def get_candidate(
     service: Here, job: Known, candidate: Annotated[int, PathParameter(ge=0, lt=2**53)]
 ) -> dict[str, Any]:
-    """Return all that is known of one candidate of a study, as `palpate show --json`."""
+    """Return the full record of one candidate of a study, as `palpate show --json`."""
     if job.kind != "study":
-        raise HTTPException(409, f"{job.id} is a diagnosis: it has no candidates.")
+        raise HTTPException(409, f"{job.id} is a diagnosis; only studies have candidates.")
     try:
         return candidate_json(candidate_results(_begun(service, job), candidate))
     except InputError as error:
@@ -217,7 +217,7 @@ def get_candidate(
 
 @router.get("/jobs/{job}/journal", responses=_refusals(404, 409))
 def get_journal(service: Here, job: Known, since: Offset = 0) -> JournalPage:
-    """Return records of a job's journal from a place on, some at a time."""
+    """Return a page of records of a job's journal, starting at an offset."""
     tail = JournalTail(StudyLayout(service.home.job(job.id)).journal, since)
     lines = tail.read()
     return JournalPage(
@@ -238,7 +238,7 @@ async def follow_job(
     job: Known,
     tail: Followed,
 ) -> StreamingResponse:
-    """Follow a job by server-sent events: `job`, `record`, at last `end`."""
+    """Follow a job by server-sent events: `job`, `record`, and finally `end`."""
     return event_stream(
         request, service, lambda gone: job_events(tail, lambda: view_now(service, job), gone)
     )
@@ -263,7 +263,7 @@ def get_file(
 
 
 def _first_bytes(path: Path, size: int) -> Iterator[bytes]:
-    """Yield so many bytes of a file; a journal may be growing meanwhile."""
+    """Yield the first `size` bytes of a file; a journal may be growing."""
     with path.open("rb") as file:
         while size > 0 and (block := file.read(min(size, 2**16))):
             size -= len(block)
@@ -274,11 +274,11 @@ def _begun(service: Service, job: Job) -> Path:
     folder = service.home.job(job.id)
     journal = StudyLayout(folder).journal
     if not journal.is_file() or os.path.getsize(journal) == 0:  # noqa: PTH202
-        raise HTTPException(409, f"{job.id} has not begun yet.")
+        raise HTTPException(409, f"{job.id} has not started yet.")
     return folder
 
 
 def _check_room(service: Service) -> None:
     open_jobs = sum(job.state not in ENDED for job in service.queue.jobs)
     if open_jobs >= service.limits.waiting_jobs:
-        raise HTTPException(409, f"{open_jobs} jobs are waiting: wait, or cancel some.")
+        raise HTTPException(409, f"{open_jobs} jobs are waiting already: wait, or cancel some.")

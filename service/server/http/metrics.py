@@ -1,4 +1,4 @@
-"""Numbers of a service for Prometheus, in its text format."""
+"""Metrics of a service in the text format of Prometheus."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
@@ -30,10 +30,10 @@ def metrics(service: Service) -> str:
     return "".join(
         (
             _metric("palpate_jobs", "gauge", "Jobs by kind and state.", by_kind),
-            _metric("palpate_evaluations_total", "counter", "Evaluations that ended.", ended),
+            _metric("palpate_evaluations_total", "counter", "Evaluations by ending.", ended),
             _metric("palpate_stage_seconds_total", "counter", "Seconds in each stage.", spent),
-            _metric("palpate_threads", "gauge", "Tasks at once.", [({}, threads)]),
-            _metric("palpate_tasks", "gauge", "Tasks under way or queued.", [({}, held)]),
+            _metric("palpate_threads", "gauge", "Tasks that can run at once.", [({}, threads)]),
+            _metric("palpate_tasks", "gauge", "Tasks running or queued.", [({}, held)]),
         )
     )
 

@@ -1,7 +1,7 @@
-"""Serves the page: one file of HTML, its style and its scripts, all of this package.
+"""Routes of the web page: one HTML file, its style sheet and its scripts.
 
-Nothing is asked of another address and nothing is built. The viewers of slices and of the
-body are those of the reports.
+There is no build step, and nothing is loaded from other sites. The slice and body viewers are
+shared with the reports.
 """
 
 from pathlib import Path
@@ -27,14 +27,14 @@ router = APIRouter(include_in_schema=False)
 
 @router.get("/")
 def get_page() -> Response:
-    """Return the page; what it shows it asks of the API."""
+    """Return the page, which gets its data from the API."""
     return FileResponse(PAGE / "index.html", media_type="text/html; charset=utf-8")
 
 
 @router.get("/page/{name}")
 def get_part(name: str) -> Response:
-    """Return its style or a script."""
+    """Return the style sheet or a script."""
     path = FILES.get(name)
     if path is None:
-        raise HTTPException(404, f"The page has no part {name[:80]!r}.")
+        raise HTTPException(404, f"The page has no file {name[:80]!r}.")
     return FileResponse(path, media_type=f"{TYPES[path.suffix]}; charset=utf-8")

@@ -1,4 +1,4 @@
-"""Listens on an address and serves a service until it is asked to stop."""
+"""The HTTP server of a service, which runs until asked to stop."""
 
 import socket
 from collections.abc import Callable, Iterable
@@ -16,12 +16,12 @@ GRACE_S = 3
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Return a socket that listens; port 0 takes any.
+    """Return a listening socket; port 0 takes any free port.
 
     Raises
     ------
     InputError
-        If the address is taken or not this machine's.
+        If the address is in use or does not belong to this machine.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
@@ -39,7 +39,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def url_of(listening: socket.socket) -> str:
-    """Return the address of a socket as a browser on this machine takes it."""
+    """Return the URL of a socket for a browser on this machine."""
     host, port = listening.getsockname()[:2]
     if host in ("0.0.0.0", "::"):
         host = "127.0.0.1"
@@ -47,7 +47,7 @@ def url_of(listening: socket.socket) -> str:
 
 
 class _Server(uvicorn.Server):
-    """Leaves signals to whoever runs it: one that comes while it starts is not lost."""
+    """A server without signal handlers, so that no signal is lost while it starts."""
 
     def __init__(self, config: uvicorn.Config, stop: Callable[[], object]) -> None:
         super().__init__(config)
@@ -69,7 +69,7 @@ def serve(
     *,
     stop: Callable[[], object],
 ) -> None:
-    """Serve until `stop` returns something true; it is asked ten times a second."""
+    """Serve until `stop` returns true; it is called ten times a second."""
     host = str(listening.getsockname()[0])
     if not is_loopback(host) and host not in ("0.0.0.0", "::"):
         hosts = {host, *hosts}

@@ -1,4 +1,4 @@
-"""Answers with a stream of server-sent events, of which there are not too many at once."""
+"""Responses that stream server-sent events, limited in number."""
 
 from collections.abc import AsyncIterator, Awaitable, Callable
 
@@ -14,16 +14,16 @@ Gone = Callable[[], Awaitable[bool]]
 def event_stream(
     request: Request, service: Service, events: Callable[[Gone], AsyncIterator[bytes]]
 ) -> StreamingResponse:
-    """Return the answer that sends `events` until they end, or until client or service leave.
+    """Return a response that sends `events` until they end or client or service stop.
 
     Raises
     ------
     HTTPException
-        503 if too many clients follow already.
+        503 if too many clients are following jobs.
     """
     state = request.app.state
     if state.streams >= service.limits.open_streams:
-        raise HTTPException(503, "Too many clients follow jobs at this moment: try again later.")
+        raise HTTPException(503, "Too many clients are following jobs; try again later.")
 
     async def gone() -> bool:
         if state.stopping() or await request.is_disconnected():

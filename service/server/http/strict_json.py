@@ -1,4 +1,4 @@
-"""Requests whose JSON bodies repeat no key."""
+"""Requests with JSON bodies without repeated keys."""
 
 from collections.abc import Callable, Coroutine
 from typing import Any

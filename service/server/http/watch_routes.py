@@ -1,4 +1,4 @@
-"""Routes of the API for a page that watches: all jobs, a study in brief, its bodies."""
+"""API routes for the live page: all jobs, compact studies, bodies."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ router = APIRouter(
 
 @router.get("/events", response_class=StreamingResponse, responses=_refusals(503) | EVENT_STREAM)
 async def follow_all(service: Here, request: Request) -> StreamingResponse:
-    """Follow all jobs by server-sent events: `job`, at first the newest and all that run."""
+    """Follow all jobs by server-sent `job` events, first the newest and all running ones."""
     return event_stream(request, service, lambda gone: all_job_events(JobNews(service).next, gone))
 
 
@@ -49,7 +49,7 @@ async def follow_points(
     job: Known,
     tail: Followed,
 ) -> StreamingResponse:
-    """Follow a job by server-sent events in brief: `job`, `points`, at last `end`."""
+    """Follow a job by compact server-sent events: `job`, `points`, and finally `end`."""
     return event_stream(
         request,
         service,
@@ -59,7 +59,7 @@ async def follow_points(
 
 @router.get("/jobs/{job}/study", responses=_refusals(404, 409))
 def get_study(service: Here, job: Known) -> StudyView:
-    """Return what a study asks: its parameters and its file."""
+    """Return the parameters of a study and its file."""
     _check_study(job)
     return study_view(job)
 
@@ -70,12 +70,12 @@ def get_study(service: Here, job: Known) -> StudyView:
     responses=_refusals(404, 409) | {202: {"model": BodiesView}},
 )
 def get_bodies(service: Here, job: Known, answer: Response) -> Any:
-    """Return reference, target and best candidate; 202 while they are being made."""
+    """Return reference, target and best candidate; 202 while they are being prepared."""
     _check_study(job)
     folder = service.home.job(job.id)
     progress = service.progress.of(folder)
     if not progress.sessions:
-        raise HTTPException(409, f"{job.id} has no body yet: it is being prepared.")
+        raise HTTPException(409, f"{job.id} has no body yet; it is being prepared.")
     candidate = None if progress.best is None else progress.best.candidate
     path = service.bodies.of(folder, candidate)
     if path is None:
@@ -85,7 +85,7 @@ def get_bodies(service: Here, job: Known, answer: Response) -> Any:
 
 
 class JobNews:
-    """Tells of jobs that are new or have changed since it was asked last.
+    """Jobs that are new or have changed since the last call.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class JobNews:
         self._first = max(0, len(service.queue.jobs) - NEWEST)
 
     def next(self) -> list[JobView]:
-        """Return these jobs; at first the newest and all that have not ended."""
+        """Return the changed jobs; on the first call, the newest and all unfinished ones."""
         news = []
         for job in self._service.queue.jobs:
             if not self._may_have_changed(job, self._told.get(job.id)):

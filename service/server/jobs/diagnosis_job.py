@@ -1,4 +1,4 @@
-"""Runs one diagnosis of the queue; its steps go to a journal as the endings of a study do."""
+"""One queued diagnosis; its steps are journalled like the endings of a study."""
 
 import time
 from collections.abc import Mapping
@@ -34,14 +34,14 @@ def bring_source(
     anyway: bool = False,
     within: str | None = None,
 ) -> tuple[DiagnosisRequest, Origin, tuple[str, ...]]:
-    """Read what is diagnosed into the store; a task, so that a damaged image harms a worker only.
+    """Read the source into the store; as a task, so a damaged image affects only a worker.
 
-    An upload may name files in its folder `within` only.
+    An upload may only name files in its folder `within`.
 
     Raises
     ------
     InputError
-        If it cannot be diagnosed, or an effect is not in its catalogue.
+        If the source cannot be diagnosed, or an effect is not in its catalogue.
     """
     with nullcontext() if within is None else confined_to(Path(within)):
         opened = open_source(Path(path), store)
@@ -57,7 +57,7 @@ def bring_source(
 def run_diagnosis(
     request: Mapping[str, Any], source: Path, folder: Path, store: Location, dispatcher: Dispatcher
 ) -> None:
-    """Diagnose to the end, from wherever it stands; page and record go into `folder`.
+    """Run or resume a diagnosis; write its page and record to `folder`.
 
     Raises
     ------
@@ -96,4 +96,4 @@ def run_diagnosis(
         write_diagnosis(
             diagnosis, folder, replace(origin, made=replace(origin.made, seconds=spent))
         )
-        append("end", reason="all is computed", verdict=diagnosis.summary.verdict)
+        append("end", reason="all computed", verdict=diagnosis.summary.verdict)

@@ -1,8 +1,8 @@
-"""Shares the workers of one cluster among jobs.
+"""Fair sharing of one cluster's workers among jobs.
 
 Jobs of higher priority come first. Among equals the next free slot goes to the owner who
-holds the fewest, and of his jobs to the one that holds the fewest. What a job does not ask
-for, because it waits for the last candidates of a generation, others use.
+holds the fewest, and to that owner's job with the fewest. Slots that a job does not need while it
+waits for the last candidates of a generation go to others.
 """
 
 import threading
@@ -31,7 +31,7 @@ class JobSlots:
         self.share.give_back(self)
 
     def leave(self) -> None:
-        """Give all back: the job runs no more."""
+        """Return all slots; the job has stopped."""
         self.share.leave(self)
 
 
@@ -54,14 +54,14 @@ class FairShare:
         self._jobs: list[JobSlots] = []
 
     def join(self, owner: str, priority: int, number: int) -> JobSlots:
-        """Return the slots of a job, which holds none yet."""
+        """Return the slots of a new job, none of them taken."""
         job = JobSlots(self, owner, priority, number)
         with self._lock:
             self._jobs.append(job)
         return job
 
     def take(self, job: JobSlots, threads: int) -> bool:
-        """Give a job a slot if there is one, and nobody comes first who has asked in vain."""
+        """Give a job a slot if one is free and no waiting job has precedence."""
         with self._lock:
             room = sum(other.held for other in self._jobs) < slot_count(threads)
             first = min((o for o in self._jobs if o.hungry or o is job), key=self._rank)
@@ -76,14 +76,14 @@ class FairShare:
             job.held -= 1
 
     def leave(self, job: JobSlots) -> None:
-        """Forget a job."""
+        """Remove a job."""
         with self._lock:
             if job in self._jobs:
                 self._jobs.remove(job)
 
     @property
     def held(self) -> int:
-        """Return how many slots are taken."""
+        """Return the number of taken slots."""
         with self._lock:
             return sum(job.held for job in self._jobs)
 

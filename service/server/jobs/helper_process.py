@@ -1,4 +1,4 @@
-"""Processes that help a service: they import nothing from the folders that users write to."""
+"""Helper processes of a service, which import nothing from users' folders."""
 
 import os
 import sys
@@ -8,12 +8,12 @@ from palpate.workers import WORKER_ENVIRONMENT
 
 
 def helper_command(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs a module of Palpate, with no folder of a user to import from."""
+    """Return the command that runs a Palpate module without importing from users' folders."""
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def helper_environment() -> dict[str, str]:
-    """Return the environment of such a process, which may run in any folder."""
+    """Return the environment of a helper process, which may run in any folder."""
     environment = os.environ | WORKER_ENVIRONMENT | {"PYTHONSAFEPATH": "1"}
     if given := environment.get("PYTHONPATH"):
         places = [str(Path(place).absolute()) for place in given.split(os.pathsep) if place]

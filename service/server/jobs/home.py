@@ -1,4 +1,4 @@
-"""Spells every path of a service, once.
+"""Paths of a service.
 
 ::
 
@@ -6,9 +6,9 @@
       <job>/                    one study or diagnosis; `palpate status <job>` reads a study too
       store/                    shared by all of them, unless another store is given
       .service/
-        queue.jsonl             what was submitted, and what became of it
+        queue.jsonl             submitted jobs and their states
         tokens.json             names of tokens, and their SHA-256
-        uploads/<folder>/<file> images and cases that were uploaded
+        uploads/<folder>/<file> uploaded images and cases
 """
 
 import re
@@ -31,9 +31,9 @@ class ServiceHome:
     Parameters
     ----------
     root : Path
-        Absolute.
+        Absolute path.
     store : Path or ObjectPath
-        Which all workers see.
+        Must be visible to all workers.
     """
 
     root: Path
@@ -41,7 +41,7 @@ class ServiceHome:
 
     @property
     def own(self) -> Path:
-        """Return the folder of what is the service's own."""
+        """Return the folder of the service's own files."""
         return self.root / ".service"
 
     @property
@@ -51,7 +51,7 @@ class ServiceHome:
 
     @property
     def tokens(self) -> Path:
-        """Return the path of the tokens."""
+        """Return the path of the token file."""
         return self.own / "tokens.json"
 
     @property
@@ -65,17 +65,17 @@ class ServiceHome:
         Raises
         ------
         InputError
-            If it cannot be the name of a job.
+            If it is not a valid name of a job.
         """
         return self.root / checked_name(identifier)
 
     def make(self) -> None:
-        """Make the folders that are missing.
+        """Create missing folders.
 
         Raises
         ------
         StoreError
-            If they cannot be written.
+            If they cannot be created.
         """
         with explained(self.root):
             for folder in (self.root, self.own, self.uploads):
@@ -84,7 +84,7 @@ class ServiceHome:
 
 
 def checked_name(name: str) -> str:
-    """Return a name if it is one: no path, nothing hidden.
+    """Return a name after checking that it is neither a path nor hidden.
 
     Raises
     ------
@@ -92,20 +92,20 @@ def checked_name(name: str) -> str:
     """
     if not _NAME.match(name) or name.endswith("\n") or ".." in name:
         raise InputError(
-            f"{name!r} cannot be a name: expected letters, digits, dots, dashes and underscores, "
-            "at most 96, beginning with a letter or a digit."
+            f"{name!r} is not a valid name: expected at most 96 letters, digits, dots, dashes "
+            "and underscores, beginning with a letter or a digit."
         )
     return name
 
 
 def inside(folder: Path, path: Path) -> Path:
-    """Return `path` if it lies in `folder`, links resolved.
+    """Return `path` if it is inside `folder` with links resolved.
 
     Raises
     ------
     StoreError
-        If it leads elsewhere.
+        If it points elsewhere.
     """
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise StoreError(f"{path.name} leads out of the folder of the service.")
+        raise StoreError(f"{path.name} points outside the folder of the service.")
     return path

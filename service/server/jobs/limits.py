@@ -1,4 +1,4 @@
-"""What a service accepts, at most."""
+"""Upper limits of a service."""
 
 from dataclasses import dataclass
 
@@ -12,19 +12,19 @@ class Limits:
     Parameters
     ----------
     body_bytes : int
-        Of a request that is no upload.
+        Of a request other than an upload.
     upload_bytes, uploads_bytes : int
-        Of one uploaded file, and of all together.
+        Of one uploaded file, and of all uploads together.
     uploads_files : int
-        Files of all uploads together.
+        Number of uploaded files.
     evaluations : int
-        That a study may ask for.
+        Of one study.
     population : int
         Of one generation.
     open_streams : int
-        Clients that follow events at once.
+        Clients following events at once.
     waiting_jobs : int
-        That have not ended.
+        Jobs that have not ended.
     """
 
     body_bytes: int = 512 * 1024

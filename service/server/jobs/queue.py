@@ -1,15 +1,15 @@
-"""The queue of a service: what was submitted, and what became of it, as a fold over a journal.
+"""The queue of a service: submitted jobs and their states, as a fold over a journal.
 
 ::
 
-    waiting --+--> finished            all is computed
-      ^  |    +--> failed              one message says why; can be resumed
-      |  |    `--> cancelled           by a user, for good
+    waiting --+--> finished            all computed
+      ^  |    +--> failed              with a reason; can be resumed
+      |  |    `--> cancelled           by a user, permanently
       |  v
      paused                            by a user; can be resumed
 
-Whether a waiting job is running at this moment nobody writes down: a service that is
-started again runs what waits.
+Whether a waiting job is running is not recorded: a restarted service runs all waiting
+jobs.
 """
 
 import threading
@@ -28,7 +28,7 @@ JobKind = Literal["study", "diagnosis"]
 JobState = Literal["waiting", "paused", "finished", "failed", "cancelled"]
 Action = Literal["pause", "resume", "cancel", "finish", "fail"]
 
-# What an action makes of the states that it is allowed in.
+# The allowed states of each action, and the state that follows.
 ACTIONS: dict[Action, tuple[set[JobState], JobState]] = {
     "pause": ({"waiting", "paused"}, "paused"),
     "resume": ({"waiting", "paused", "failed"}, "waiting"),
@@ -39,7 +39,7 @@ ACTIONS: dict[Action, tuple[set[JobState], JobState]] = {
 
 
 class StateError(PalpateError):
-    """A job is not in a state in which that can be done."""
+    """An action that is not allowed in the state of a job."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Job:
     Parameters
     ----------
     id : str
-        Its name in the service, and that of its folder.
+        Name in the service, and of its folder.
     kind : {"study", "diagnosis"}
     owner : str
         Name of the token that submitted it.
@@ -58,14 +58,14 @@ class Job:
     submitted, changed : str
         Date and time, ISO 8601.
     request : mapping
-        What was asked; see `service.server.jobs`.
+        The request; see `service.server.jobs`.
     key : str
-        A text of the client's own: the same key from the same owner is the same job.
+        Text chosen by the client: the same key from the same owner is the same job.
     number : int
-        In the order of submission, from 0.
+        Order of submission, from 0.
     state : str
     reason : str
-        Why it has failed; empty otherwise.
+        Reason for a failure; empty otherwise.
     """
 
     id: str
@@ -82,12 +82,12 @@ class Job:
 
 
 class Queue:
-    """The jobs of a service; all changes are on disk before they are seen.
+    """The jobs of a service; changes are written to disk before they take effect.
 
     Parameters
     ----------
     path : Path
-        Of its journal, which is locked.
+        Path of its journal, which is locked.
 
     Raises
     ------
@@ -105,7 +105,7 @@ class Queue:
             if "being written" not in str(error):
                 raise
             raise JournalError(
-                f"Another `palpate serve` uses {path.parent.parent}: stop it, or serve another "
+                f"Another `palpate serve` is using {path.parent.parent}: stop it, or serve another "
                 "folder."
             ) from error
         for record in Journal.read(path):
@@ -123,7 +123,7 @@ class Queue:
             return list(self._jobs.values())
 
     def get(self, identifier: str) -> Job | None:
-        """Return a job; None if there is none of that name."""
+        """Return a job; None if it does not exist."""
         with self._lock:
             return self._jobs.get(identifier)
 
@@ -138,14 +138,14 @@ class Queue:
         key: str = "",
         taken: Callable[[str], bool] = lambda identifier: False,
     ) -> tuple[Job, bool]:
-        """Add a job; return it, and whether it is new.
+        """Add a job; return it and whether it is new.
 
         Parameters
         ----------
         name : str
-            Becomes the job's id, with a number if there is such a job already.
+            Becomes the job's id, with a number appended if it is taken.
         taken : callable
-            Says whether an id cannot be used for another reason.
+            Returns whether an id is unavailable for another reason.
         """
         with self._lock:
             if key:
@@ -179,7 +179,7 @@ class Queue:
             allowed, becomes = ACTIONS[action]
             if job.state not in allowed:
                 raise StateError(
-                    f"{identifier} is {job.state}: it cannot be made {becomes}. That is possible "
+                    f"{identifier} is {job.state}: it cannot become {becomes}. That is possible "
                     f"while a job is {' or '.join(sorted(allowed))}."
                 )
             if job.state != becomes:
@@ -190,7 +190,7 @@ class Queue:
             return self._jobs[identifier]
 
     def prioritise(self, identifier: str, priority: int) -> Job:
-        """Give a job another priority; workers that are busy finish what they do."""
+        """Change the priority of a job; running tasks are completed first."""
         with self._lock:
             if self._jobs[identifier].priority != priority:
                 self._append(
@@ -233,9 +233,9 @@ class Queue:
                 self._jobs[identifier] = replace(job, changed=record["at"])
         except (KeyError, TypeError) as error:
             raise JournalError(
-                f"The journal of the queue holds a record that makes no sense ({error!r}): it was "
-                "changed by hand. Move .service/queue.jsonl aside and submit the studies again; "
-                "what they have computed is used again."
+                f"The journal of the queue has an invalid record ({error!r}): it was "
+                "edited. Move .service/queue.jsonl aside and submit the studies again; "
+                "completed evaluations are reused."
             ) from error
         self.version += 1
 

@@ -1,7 +1,7 @@
-"""Runs the jobs of a queue on one cluster, several at once.
+"""Runner of queued jobs on one cluster, several at once.
 
-A job that waits is run, each in a thread of its own; what it may send to the cluster the
-fair share decides. When the cluster is lost it is opened again, and what was running goes on.
+Each waiting job runs in a thread of its own; the fair share limits its tasks on the cluster.
+If the cluster is lost, it is opened again and the jobs continue.
 """
 
 import logging
@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 TICK_S = 0.1
 REOPEN_S = 3.0
-MOST_FAILURES = 3  # of the cluster, one after the other, while a job gets no further
+MOST_FAILURES = 3  # consecutive failures of the cluster while a job makes no progress
 STOP_S = 30.0
 
 OpenCluster = Callable[[], AbstractContextManager[Cluster]]
@@ -43,7 +43,7 @@ OpenCluster = Callable[[], AbstractContextManager[Cluster]]
 
 @dataclass
 class _Active:
-    """A job that is running."""
+    """A running job."""
 
     thread: threading.Thread
     stop: threading.Event = field(default_factory=threading.Event)
@@ -51,7 +51,7 @@ class _Active:
 
 @dataclass
 class _Setback:
-    """How often a job has lost the cluster since its journal grew last."""
+    """Number of times that a job has lost the cluster since its journal last grew."""
 
     size: int = -1
     count: int = 0
@@ -60,7 +60,7 @@ class _Setback:
 
 
 class Runner:
-    """Runs what waits in a queue.
+    """Runner of the waiting jobs of a queue.
 
     Parameters
     ----------
@@ -68,13 +68,13 @@ class Runner:
     queue : Queue
     uploads : Uploads
     open_cluster : callable
-        Opens the cluster; called again when it is lost.
+        Opens the cluster; called again if it is lost.
     tasks : Tasks, optional
-        What is sent to the workers.
+        Functions sent to the workers.
     at_once : int
-        Jobs that run at the same time.
+        Number of jobs run at the same time.
     reports : bool
-        Write the page of a study that has ended.
+        Write the page of a completed study.
     """
 
     def __init__(
@@ -101,11 +101,11 @@ class Runner:
         self._thread = threading.Thread(target=self._run, name="runner")
 
     def start(self) -> None:
-        """Begin to run what waits."""
+        """Start running waiting jobs."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop all jobs, which go on when the service is started again, and close the cluster."""
+        """Stop all jobs, which continue when the service restarts, and close the cluster."""
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join(STOP_S + 30.0)
@@ -116,11 +116,11 @@ class Runner:
         return self._stopping.is_set()
 
     def is_running(self, identifier: str) -> bool:
-        """Return whether a job is running at this moment."""
+        """Return whether a job is running."""
         return identifier in self._active
 
     def note(self, identifier: str) -> str:
-        """Return why a job that waits gets no further; empty if nothing is known."""
+        """Return the reason why a waiting job does not run; empty if unknown."""
         setback = self._setbacks.get(identifier)
         if setback or self.cluster is None:
             return setback.note if setback else self.trouble
@@ -128,7 +128,7 @@ class Runner:
 
     @property
     def threads(self) -> int:
-        """Return how many tasks the cluster can run at once; 0 without a cluster."""
+        """Return the number of tasks the cluster can run at once; 0 without a cluster."""
         cluster = self.cluster
         if cluster is None or cluster.client.status != "running":
             return 0
@@ -151,7 +151,7 @@ class Runner:
             except ClusterError as error:
                 self.trouble = str(error)
             except Exception as error:
-                _log.exception("The cluster has failed and is opened again.")
+                _log.exception("The cluster has failed and is being reopened.")
                 self.trouble = f"The cluster has failed: {type(error).__name__}: {error}"
             self._stopping.wait(REOPEN_S)
 
@@ -198,7 +198,7 @@ class Runner:
     def _run_job(self, job: Job, cluster: Cluster, stop: threading.Event) -> None:
         slots = self.share.join(job.owner, job.priority, job.number)
         try:
-            prepare_workers(cluster.client)  # a scheduler that came back has forgotten
+            prepare_workers(cluster.client)  # a restarted scheduler has lost this
             dispatcher = Dispatcher(
                 cluster.client,
                 stop=stop.is_set,
@@ -218,7 +218,7 @@ class Runner:
             self._conclude(job, "fail", str(error))
         except Exception as error:
             if cluster.client.status != "running":
-                self._set_back(job, ClusterError(f"The cluster has gone: {error}"), cluster)
+                self._set_back(job, ClusterError(f"The cluster is gone: {error}"), cluster)
             else:
                 self._explain_crash(job, error)
         else:
@@ -235,17 +235,17 @@ class Runner:
             run_diagnosis(job.request, self._source(job), folder, store, session.dispatcher)
 
     def _source(self, job: Job) -> Path:
-        """Return where that lies which is diagnosed."""
+        """Return the location of the source of a diagnosis."""
         source = job.request["source"]
         if source.get("study"):
             return inside(self.home.root, self.home.job(source["study"]))
         path = self.uploads.resolve(source["upload"])
         if path is None:
-            raise InputError(f"There is no upload {source['upload']} any more: upload it again.")
+            raise InputError(f"The upload {source['upload']} no longer exists: upload it again.")
         return path
 
     def _set_back(self, job: Job, error: ClusterError, cluster: Cluster) -> None:
-        """Let a job wait for a better cluster; one that gets no further fails."""
+        """Put a job back to waiting; fail one that makes no progress."""
         journal = StudyLayout(self.home.job(job.id)).journal
         size = journal.stat().st_size if journal.is_file() else 0
         setback = self._setbacks.setdefault(job.id, _Setback())
@@ -253,7 +253,7 @@ class Runner:
         setback.size, setback.note = size, str(error)
         setback.not_before = time.monotonic() + REOPEN_S
         if cluster.client.status != "running":
-            setback.count = 0  # no fault of the job's
+            setback.count = 0  # not the job's fault
             self._cluster_lost.set()
         elif setback.count >= MOST_FAILURES:
             self._conclude(job, "fail", str(error))
@@ -267,8 +267,8 @@ class Runner:
             write_file(folder / "crash.txt", text.encode())
         except (OSError, PalpateError):
             _log.exception("The traceback of %s cannot be written.", job.id)
-        reason = f"a fault of Palpate's own: {type(error).__name__}: {error}"
-        self._conclude(job, "fail", f"{reason} (crash.txt has all of it)")
+        reason = f"internal error: {type(error).__name__}: {error}"
+        self._conclude(job, "fail", f"{reason} (traceback in crash.txt)")
 
     def _conclude(self, job: Job, action: str, reason: str = "") -> None:
         self._setbacks.pop(job.id, None)
@@ -277,8 +277,8 @@ class Runner:
                 self.queue.change(job.id, "finish", reason)
             else:
                 self.queue.change(job.id, "fail", reason)
-        except StateError:  # paused or cancelled at this moment: that stays
+        except StateError:  # paused or cancelled meanwhile: keep that state
             _log.info("The job %s has ended (%s), but was stopped meanwhile.", job.id, reason)
         except PalpateError:
-            _log.exception("The end of %s cannot be written down.", job.id)
-            time.sleep(REOPEN_S)  # it still waits, and is tried again
+            _log.exception("The end of %s cannot be recorded.", job.id)
+            time.sleep(REOPEN_S)  # it is still waiting and will be retried

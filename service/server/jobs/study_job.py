@@ -1,4 +1,4 @@
-"""Runs one study of the queue."""
+"""One queued study."""
 
 import logging
 import subprocess
@@ -23,11 +23,11 @@ REPORT_S = 900.0
 
 
 class ReportError(Exception):
-    """The page of a study could not be written; the study itself has ended well."""
+    """An error in writing the page of a study; the study itself is complete."""
 
 
 def study_request(spec: StudySpec, accept_new_code: bool, anyway: bool = False) -> dict[str, Any]:
-    """Return what the queue keeps of a study."""
+    """Return the request of a study for the queue."""
     return {
         "name": spec.name,
         "spec": spec.as_dict(),
@@ -47,7 +47,7 @@ def run_job(
     *,
     reports: bool = True,
 ) -> None:
-    """Run a study of the queue to its end, or continue it.
+    """Run or continue a queued study.
 
     Parameters
     ----------
@@ -58,14 +58,14 @@ def run_job(
     session : Session
     tasks : Tasks, optional
     reports : bool
-        Write the page at the end, unless there is one.
+        Write the page at the end, unless it exists.
 
     Raises
     ------
     PalpateError, Interrupted
         As `service.run_study.run_study`.
     ReportError
-        If the study has ended and its page could not be written.
+        If the study has ended but its page could not be written.
     """
     spec = validated(StudySpec, request["spec"], "The study")
     accept = bool(request.get("accept_new_code"))
@@ -77,18 +77,18 @@ def run_job(
 
 
 def _no_page(folder: Path, quick: bool) -> None:
-    """Leave the page out."""
+    """Skip the page."""
 
 
 def write_report(folder: Path, quick: bool) -> None:
-    """Write the page of a study that has ended, in a process of its own, unless there is one.
+    """Write the page of a completed study in a separate process, unless it exists.
 
-    A study that is stopped has the service's live page.
+    A stopped study has the service's live page.
 
     Raises
     ------
     ReportError
-        If it fails, which is no failure of the study.
+        If it fails, which does not affect the study.
     """
     if quick or StudyLayout(folder).report.exists():
         return

@@ -1,4 +1,4 @@
-"""Checks what is submitted, before it is queued: a study, or what is to be diagnosed."""
+"""Checks of submitted studies and diagnoses before they are queued."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -22,7 +22,7 @@ IMAGE_KEYS = {"volume", "file", "labels"}
 def study_from(
     given: str | Mapping[str, Any], uploads: Uploads, store: Store, limits: Limits
 ) -> StudySpec:
-    """Return the study that a client asks for.
+    """Return the study requested by a client.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def study_from(
     Raises
     ------
     InputError
-        If it makes no sense, names files of the server, or is too large.
+        If it is not valid, names files of the server, or is too large.
     """
     if isinstance(given, str):
         text, data = given, parsed_text(given, WHERE)
@@ -47,7 +47,7 @@ def study_from(
         spec = parse_spec(text, WHERE, uploads.root)
     except InputError:
         raise
-    except Exception as error:  # of texts that are dates, numbers with a thousand digits, ...
+    except Exception as error:  # from dates, numbers with a thousand digits, ...
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{WHERE} is not valid YAML: {reason}") from error
     _check_images(spec, uploads, store)
@@ -63,14 +63,14 @@ def _check_images(spec: StudySpec, uploads: Uploads, store: Store) -> None:
         uploaded = path.is_absolute() and path.resolve().is_relative_to(uploads.root.resolve())
         if not (uploaded and path.exists()) and not _in_store(value, store):
             raise InputError(
-                f"{WHERE}: {key} is {value!r}, which is neither an upload (FOLDER/FILE) nor a "
+                f"{WHERE}: {key} is {value!r}, neither an upload (FOLDER/FILE) nor a "
                 "volume of the store. Upload the image first."
             )
 
 
 def _in_store(name: str, store: Store) -> bool:
-    """Return whether the store has a volume of that digest or name."""
-    with suppress(StoreError):  # no name of a volume
+    """Return whether the store has a volume with this digest or name."""
+    with suppress(StoreError):  # not the name of a volume
         if has_volume(store, name):
             return True
     for volume in list_volumes(store):
@@ -90,6 +90,6 @@ def _check_size(spec: StudySpec, limits: Limits) -> None:
     evaluations = search.population * search.generations
     if evaluations > limits.evaluations:
         raise InputError(
-            f"{WHERE} asks for up to {evaluations} evaluations; this service accepts up to "
+            f"{WHERE} requests up to {evaluations} evaluations; this service accepts up to "
             f"{limits.evaluations}."
         )

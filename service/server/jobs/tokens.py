@@ -1,13 +1,13 @@
-"""Tokens of a service and their roles. Only the SHA-256 of a token is kept.
+"""Tokens of a service and their roles. Only the SHA-256 of a token is stored.
 
 ======  ==========================================================
-read    look at jobs, results and files
-submit  also upload and submit; stop and change one's own jobs
+read    view jobs, results and files
+submit  also upload and submit; stop and change own jobs
 admin   also stop and change the jobs of others
 ======  ==========================================================
 
-The token in the variable PALPATE_TOKEN is an admin. A service takes it out of its environment,
-which all its workers and helpers would inherit.
+The token in the variable PALPATE_TOKEN is an admin. A service removes it from its environment,
+so that workers and helpers do not inherit it.
 """
 
 import hashlib
@@ -32,7 +32,7 @@ ROLES: tuple[Role, ...] = get_args(Role)
 
 @dataclass(frozen=True, slots=True)
 class Owner:
-    """Whoever has a token.
+    """The holder of a token.
 
     Parameters
     ----------
@@ -45,24 +45,24 @@ class Owner:
 
     @property
     def submits(self) -> bool:
-        """Whether uploads and jobs are accepted from this token."""
+        """Whether this token may upload and submit jobs."""
         return self.role != "read"
 
     def may_change(self, owner: str) -> bool:
-        """Return whether the jobs that a token submitted may be stopped and changed."""
+        """Return whether this token may stop and change the jobs of `owner`."""
         return self.role == "admin" or (self.submits and self.name == owner)
 
 
 def take_token() -> str:
-    """Return the token in the environment and remove it there.
+    """Remove the token from the environment and return it.
 
-    Without one, that in the file which the variable PALPATE_TOKEN_FILE names, such as a secret of
-    Docker.
+    Without one, read the file named by the variable PALPATE_TOKEN_FILE, such as a Docker
+    secret.
 
     Raises
     ------
     InputError
-        If that file cannot be read.
+        If the file cannot be read.
     """
     given, file = os.environ.pop(ENVIRONMENT, ""), os.environ.pop(ENVIRONMENT_FILE, "")
     if given or not file:
@@ -76,21 +76,21 @@ def take_token() -> str:
 
 
 class Tokens:
-    """The tokens in a file, and one from the environment.
+    """Tokens from a file and from the environment.
 
     Parameters
     ----------
     path : Path
-        Read again when it changes, so that a token can be added while the service runs.
+        Reread when it changes, so that tokens can be added while the service runs.
     given : str, optional
-        The token from the environment; see `take_token`. Default: it is left there.
+        The token from the environment; see `take_token`. Default: read from there.
 
     Raises
     ------
     StoreError
         If the file is damaged.
     InputError
-        If the token of the environment is too short.
+        If the token from the environment is too short.
     """
 
     def __init__(self, path: Path, given: str | None = None) -> None:
@@ -101,7 +101,7 @@ class Tokens:
         if given and len(given) < LEAST_LENGTH:
             raise InputError(
                 f"{ENVIRONMENT} has {len(given)} characters, expected at least {LEAST_LENGTH}. "
-                "Make one with: python -c 'import secrets; print(secrets.token_urlsafe())'"
+                "Create one with: python -c 'import secrets; print(secrets.token_urlsafe())'"
             )
         first: Role = "admin"
         self._environment = {"environment": (_hash(given), first)} if given else {}
@@ -124,17 +124,17 @@ class Tokens:
         return {name: role for name, (_, role) in sorted((self._known | self._environment).items())}
 
     def new(self, name: str, role: Role = "submit") -> str:
-        """Make a token and return it; it is written nowhere.
+        """Create a token and return it; only its hash is stored.
 
         Raises
         ------
         InputError
-            If there is one of that name.
+            If the name is taken.
         """
         self._read()
         if checked_name(name) in self._known:
             raise InputError(
-                f"There is a token named {name} already: remove it with `palpate token remove "
+                f"A token named {name} already exists: remove it with `palpate token remove "
                 f"{name}`, or choose another name."
             )
         token = secrets.token_urlsafe(32)
@@ -142,17 +142,17 @@ class Tokens:
         return token
 
     def remove(self, name: str) -> None:
-        """Forget a token.
+        """Remove a token.
 
         Raises
         ------
         InputError
-            If there is none of that name.
+            If it does not exist.
         """
         self._read()
         if name not in self._known:
             raise InputError(
-                f"There is no token named {name}. Those there are: "
+                f"There is no token named {name}. Existing tokens: "
                 f"{', '.join(sorted(self._known)) or 'none'}."
             )
         self._write({key: value for key, value in self._known.items() if key != name})
@@ -163,7 +163,7 @@ class Tokens:
         return None if owner is None else owner.name
 
     def holder(self, token: str) -> Owner | None:
-        """Return whoever has a token, with the role; None if it is not known."""
+        """Return the holder of a token, with the role; None if it is unknown."""
         self._read()
         given, owner = _hash(token), None
         for name, (known, role) in (self._known | self._environment).items():
@@ -184,7 +184,7 @@ class Tokens:
             self._known = {str(name): _entry(value) for name, value in known.items()}
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise StoreError(
-                f"{self.path} is damaged ({error!r}). Remove it and make new tokens with "
+                f"{self.path} is damaged ({error!r}). Remove it and create new tokens with "
                 "`palpate token new NAME`."
             ) from error
         self._stamp = (stat.st_mtime_ns, stat.st_size)
@@ -198,12 +198,12 @@ class Tokens:
 
 
 def _entry(value: Any) -> tuple[str, Role]:
-    """Return hash and role; tokens of older versions have no role and submit."""
+    """Return hash and role; tokens of older versions have the role submit."""
     if isinstance(value, str):
         return value, "submit"
     role = value["role"]
     if role not in ROLES:
-        raise ValueError(f"{role!r} is no role")
+        raise ValueError(f"{role!r} is not a role")
     return str(value["sha256"]), role
 
 

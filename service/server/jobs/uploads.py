@@ -1,11 +1,11 @@
-"""Images and cases that clients bring: written whole or not at all, and never changed.
+"""Uploaded images and cases, written completely or not at all and never changed.
 
-A name is a folder and a file in it. Readers open no second file unless an upload names one
-in its own folder (`workers.input_files`); paths in a case that lead elsewhere are refused here
-too, so that whoever uploads it learns it at once.
+A name is a folder and a file in it. Readers only open files in the folder of an upload
+(`workers.input_files`); a case with paths to other folders is refused here as well, so that
+the error appears at once.
 
-Files are hashed, checked and synced in threads. What an upload has written so far counts
-towards the limits while it is running.
+Files are hashed, checked and synced in threads. Data written by running uploads count towards
+the limits.
 """
 
 import hashlib
@@ -42,11 +42,11 @@ BLOCK_BYTES = 2**20
 
 
 class TooLargeError(PalpateError):
-    """An upload is larger than the service accepts."""
+    """An upload that exceeds the limits of the service."""
 
 
 class ConflictError(PalpateError):
-    """There is another upload of that name."""
+    """A different upload with the same name."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Uploads:
     Parameters
     ----------
     root : Path
-        Exists. What uploads of a killed service have left there is removed.
+        Must exist. Incomplete uploads of a killed service are removed.
     limits : Limits
     """
 
@@ -85,7 +85,7 @@ class Uploads:
         self._count()
 
     def _count(self) -> None:
-        """Count files and bytes that are there, and none that are being written."""
+        """Count complete files and their bytes."""
         there = self.list()
         self._files, self._bytes = len(there), sum(one.size_bytes for one in there)
 
@@ -105,18 +105,18 @@ class Uploads:
         Raises
         ------
         InputError
-            If it is of an unknown kind, or leads to other files.
+            If its kind is unknown, or it refers to other files.
         TooLargeError
             If it is too large, or there are too many.
         ConflictError
-            If another file has that name.
+            If a different file has this name.
         StoreError
             If the disk is full.
         """
         path = self.root / checked_name(folder) / checked_name(file)
         if not file.lower().endswith(SUFFIXES):
             raise InputError(
-                f"{file} is of a kind that cannot be uploaded: expected one of "
+                f"{file} cannot be uploaded: expected one of "
                 f"{', '.join(SUFFIXES)}. Write an image as one file, such as NAME.nrrd."
             )
         writing = _Writing(self, file)
@@ -134,12 +134,12 @@ class Uploads:
         return Uploaded(folder, file, size, sha256)
 
     def take(self, files: int, size: int, file: str) -> None:
-        """Add to what is held, or being written.
+        """Add files and bytes to the total, including running uploads.
 
         Raises
         ------
         TooLargeError
-            If that is more than the limits allow.
+            If the limits are exceeded.
         """
         with self._lock:
             if files > 0 and self._files >= self.limits.uploads_files:
@@ -150,7 +150,7 @@ class Uploads:
             self._bytes += size
 
     def too_large(self, file: str) -> TooLargeError:
-        """Return the error about a file that does not fit."""
+        """Return the error for a file that is too large."""
         return TooLargeError(
             f"{file} is too large: one file may have {self.limits.upload_bytes} bytes, "
             f"all uploads together {self.limits.uploads_bytes}."
@@ -171,40 +171,40 @@ class Uploads:
         Raises
         ------
         InputError
-            If it is no such name.
+            If the name is not valid.
         """
         parts = name.split("/")
         if len(parts) > 2:
-            raise InputError(f"{name!r} is no upload: expected FOLDER/FILE.")
+            raise InputError(f"{name!r} is not the name of an upload: expected FOLDER/FILE.")
         path = self.root.joinpath(*(checked_name(part) for part in parts))
         return path if path.exists() else None
 
     def _publish(self, temporary: Path, path: Path, sha256: str) -> bool:
-        """Give a file its name; False if the same file has it already."""
+        """Give a file its name; return False if the same file exists already."""
         with explained(path):
             sync(temporary)
             try:
-                os.link(temporary, path)  # fails where the name is taken
+                os.link(temporary, path)  # fails if the name is taken
             except FileExistsError:
                 with path.open("rb") as there:
                     if hashlib.file_digest(there, "sha256").hexdigest() == sha256:
                         return False
                 raise ConflictError(
-                    f"There is another {path.parent.name}/{path.name}: an upload is never "
-                    "changed, for a study may use it. Choose another folder."
+                    f"A different {path.parent.name}/{path.name} exists: uploads are never "
+                    "changed, as a study may use them. Choose another folder."
                 ) from None
             sync(path.parent)
         return True
 
 
 class _Writing:
-    """What one upload has written so far, which counts towards the limits.
+    """Data written so far by one upload, which count towards the limits.
 
     Parameters
     ----------
     uploads : Uploads
     file : str
-        Its name, for messages.
+        Name of the file, for messages.
 
     Raises
     ------
@@ -242,18 +242,18 @@ class _Writing:
         self.size += size
 
     def keep(self) -> None:
-        """Let the file count until it is removed."""
+        """Count the file until it is removed."""
         self._taken = False
 
     def forget(self) -> None:
-        """Count the file no more, unless it is kept."""
+        """Stop counting the file, unless it is kept."""
         if self._taken:
             self._taken = False
             self.uploads.take(-1, -self.size, self.file)
 
 
 def _check(path: Path, name: str) -> None:
-    """Refuse what a reader would refuse at once: see `workers.input_files`.
+    """Refuse files that a reader would refuse; see `workers.input_files`.
 
     Raises
     ------
@@ -274,6 +274,6 @@ def _check_text(path: Path, name: str) -> None:
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise InputError(f"{name} is no text: {error}.") from error
+        raise InputError(f"{name} is not a text file: {error}.") from error
     data: Any = parsed_text(text, name)
     refuse_paths(data, name)

@@ -1,7 +1,7 @@
-"""Reads YAML and JSON of strangers: no aliases, no deep nesting, no paths.
+"""Untrusted YAML and JSON: no aliases, no deep nesting, no paths.
 
-Aliases make a text of a kilobyte stand for gigabytes once it is written out, and deep
-nesting ends the parser by recursion; no study needs either.
+Aliases can expand a kilobyte of text to gigabytes, and deep nesting exceeds the recursion limit
+of the parser; no study needs either.
 """
 
 import re
@@ -23,12 +23,12 @@ _LEADS_OUT = re.compile(
 
 
 def parsed_text(text: str, where: str) -> Any:
-    """Parse YAML, of which JSON is a part.
+    """Parse YAML, which includes JSON.
 
     Raises
     ------
     InputError
-        If it is no YAML, or of a kind that is not accepted.
+        If it is not valid YAML, or uses features that are not accepted.
     """
     try:
         _check_events(text, where)
@@ -41,7 +41,7 @@ def _check_events(text: str, where: str) -> None:
     depth = 0
     for count, event in enumerate(yaml.parse(text, _LOADER)):
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-            raise InputError(f"{where} uses anchors or aliases (& and *): write it out.")
+            raise InputError(f"{where} uses anchors or aliases (& and *): write the values out.")
         if isinstance(event, yaml.CollectionStartEvent):
             depth += 1
         elif isinstance(event, yaml.CollectionEndEvent):
@@ -51,7 +51,7 @@ def _check_events(text: str, where: str) -> None:
 
 
 def refuse_paths(data: Any, where: str) -> None:
-    """Refuse texts that are absolute paths, addresses, or lead out of their folder.
+    """Refuse strings that are absolute paths, URLs, or paths outside their folder.
 
     Raises
     ------
@@ -60,13 +60,13 @@ def refuse_paths(data: Any, where: str) -> None:
     for key, value in texts(data):
         if _LEADS_OUT.search(value) or "\0" in value:
             raise InputError(
-                f"{where}: {key} is {value[:60]!r}, which leads out of the service. Name what "
-                "was uploaded, FOLDER/FILE, or what the store holds."
+                f"{where}: {key} is {value[:60]!r}, which points outside the service. Name an "
+                "upload, FOLDER/FILE, or a volume of the store."
             )
 
 
 def texts(data: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """Yield all texts in plain values, with the dotted names of their keys."""
+    """Yield all strings in plain values, with the dotted names of their keys."""
     if isinstance(data, str):
         yield key, data
     elif isinstance(data, dict):
@@ -78,7 +78,7 @@ def texts(data: Any, key: str = "") -> Iterator[tuple[str, str]]:
 
 
 def depth_of(data: Any) -> int:
-    """Return how deeply plain values are nested, without recursion."""
+    """Return the nesting depth of plain values, without recursion."""
     deepest, level = 0, [data]
     while level:
         deepest += 1

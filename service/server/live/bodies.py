@@ -1,7 +1,7 @@
-"""Makes what the viewers of a live page show, in a process of its own, one at a time.
+"""Data of the viewers on a live page, made in a separate process, one at a time.
 
-A body of 100 Mvoxel takes memory and seconds that the service does not have to spare. What
-was made lies in the folder of the job, named after the candidate that it shows.
+A body of 100 Mvoxel takes memory and seconds that the service cannot spare. The results are
+stored in the folder of the job, named after the candidate shown.
 """
 
 import subprocess
@@ -28,7 +28,7 @@ NAME = "bodies-{candidate}.json"
 
 
 class BodiesMaker:
-    """Gives the bodies of a study's best candidate once they are made."""
+    """A provider of the bodies of a study's best candidate."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -37,22 +37,22 @@ class BodiesMaker:
         self._failed: set[Path] = set()
 
     def of(self, folder: Path, candidate: int | None) -> Path | None:
-        """Return the file that shows a candidate, else the last one that was made; None if none.
+        """Return the viewer file of a candidate, else the latest one; None if there is none.
 
-        What is missing is made meanwhile. A search may find better ones faster than they can
-        be drawn.
+        A missing file is made in the background. A search may find better candidates faster than
+        they can be drawn.
 
         Parameters
         ----------
         folder : Path
-            Of a study that has begun.
+            Folder of a study that has started.
         candidate : int or None
-            The best one; None if there is none, then reference and target are shown.
+            The best one; None shows reference and target only.
 
         Raises
         ------
         StoreError
-            If it cannot be made.
+            If the file cannot be made.
         """
         path = folder / NAME.format(candidate="none" if candidate is None else candidate)
         with self._lock:
@@ -60,7 +60,7 @@ class BodiesMaker:
             if path.is_file():
                 return path
             if path in self._failed:
-                raise StoreError(f"The bodies of {folder.name} cannot be drawn; the log has more.")
+                raise StoreError(f"The bodies of {folder.name} cannot be drawn; see the log.")
             if self._process is None:
                 self._path = path
                 module = "palpate.service.server.live.bodies"
@@ -74,7 +74,7 @@ class BodiesMaker:
             return max(folder.glob(NAME.format(candidate="*")), key=_made, default=None)
 
     def close(self) -> None:
-        """End what is being made."""
+        """Stop the process."""
         with self._lock:
             if self._process is not None:
                 self._process.kill()
@@ -82,7 +82,7 @@ class BodiesMaker:
                 self._process = None
 
     def _look(self) -> None:
-        """Note whether the process has ended, and how."""
+        """Check whether the process has ended, and its exit status."""
         if self._process is None or self._process.poll() is None:
             return
         if self._process.returncode != 0:
@@ -98,7 +98,7 @@ def _made(path: Path) -> int:
 
 
 def best_bodies(folder: Path) -> BodiesView:
-    """Return what the viewers show of a study's best candidate.
+    """Return the viewer data of a study's best candidate.
 
     Raises
     ------
@@ -123,13 +123,13 @@ def best_bodies(folder: Path) -> BodiesView:
 
 
 def _shown(bodies: Bodies, spec: StudySpec) -> tuple[Json | None, Json | None]:
-    with suppress(PalpateError):  # a body of nothing but air
+    with suppress(PalpateError):  # a body of air only
         return slice_data(bodies, spec.score.parts, spec.case), body_data(bodies, spec.case)
     return None, None
 
 
 def main(folder: str, path: str) -> None:
-    """Write what the viewers show of the study in a folder."""
+    """Write the viewer data of the study in a folder."""
     assert StudyLayout(Path(folder)).journal.is_file()
     write_file(Path(path), best_bodies(Path(folder)).model_dump_json().encode())
 

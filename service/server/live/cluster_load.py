@@ -1,4 +1,4 @@
-"""Says what the workers of a cluster do, asking the scheduler once a second at most."""
+"""The load of a cluster's workers, queried at most once a second."""
 
 import threading
 import time
@@ -12,12 +12,12 @@ ASK_EVERY_S = 1.0
 
 
 class ClusterLoad:
-    """The workers of a cluster; many pages may ask at once.
+    """The workers of a cluster, shared by concurrent requests.
 
     Parameters
     ----------
     cluster : callable
-        Returns the cluster, None while there is none.
+        Returns the cluster, or None while there is none.
     """
 
     def __init__(self, cluster: Callable[[], Cluster | None]) -> None:
@@ -27,7 +27,7 @@ class ClusterLoad:
         self._asked = -ASK_EVERY_S
 
     def workers(self) -> list[WorkerView]:
-        """Return the workers, by name; as they were last where the scheduler does not answer."""
+        """Return the workers by name, or the last known ones if the scheduler does not answer."""
         with self._lock:
             if time.monotonic() - self._asked >= ASK_EVERY_S:
                 self._known = self._ask()
@@ -40,7 +40,7 @@ class ClusterLoad:
             return []
         try:
             known = cluster.client.scheduler_info(n_workers=-1)["workers"]
-        except Exception:  # it is going away at this moment
+        except Exception:  # it is shutting down
             return []
         views = [_view(address, worker) for address, worker in known.items()]
         return sorted(views, key=lambda view: (len(view.name), view.name))

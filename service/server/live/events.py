@@ -1,15 +1,14 @@
-"""Follows a job as server-sent events: its state, and the records of its journal.
+"""A job as server-sent events: its state, and the records of its journal.
 
 ::
 
     event: job       the job as /jobs/ID gives it, when it has changed, once a second at most
     event: record    a record of the journal; its id goes into Last-Event-ID to continue
-    event: end       nothing more will come
-    event: problem   the journal is damaged; nothing more will come
-    event: points    instead of records where they are asked for in brief; see `points`
+    event: end       the last event
+    event: problem   the journal is damaged; the last event
+    event: points    compact records on request; see `points`
 
-Where a stream is continued the journal alone decides, so it goes on after the service was
-started again.
+A stream continues from an offset of the journal, so it survives a restart of the service.
 """
 
 import json
@@ -43,20 +42,20 @@ async def job_events(
     Parameters
     ----------
     tail : JournalTail
-        Of its journal, from where the client wants to go on.
+        The tail of its journal, from the client's offset.
     view : callable
-        Returns the job as it is now.
+        Returns the current state of the job.
     gone : callable
-        Whether the client or the service is about to leave.
+        Whether the client or the service is about to stop.
     brief : bool
-        Send what charts need of many records at once, not the records.
+        Send the chart data of many records at once instead of the records.
     """
     before: JobView | None = None
     viewed = sent = 0.0
     while not await gone():
         now = time.monotonic()
         try:
-            # What has ended before the journal was read has all its records there.
+            # If the job ended before the journal was read, the journal is complete.
             current = await run_in_threadpool(view) if now - viewed >= VIEW_EVERY_S else None
             lines = await run_in_threadpool(tail.read)
         except PalpateError as error:
@@ -83,7 +82,7 @@ async def job_events(
 async def all_job_events(
     news: Callable[[], list[JobView]], gone: Callable[[], Awaitable[bool]]
 ) -> AsyncIterator[bytes]:
-    """Yield every job that `news` tells of, once a second."""
+    """Yield every changed job in `news`, once a second."""
     viewed = sent = 0.0
     while not await gone():
         now = time.monotonic()

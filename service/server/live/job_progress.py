@@ -1,4 +1,4 @@
-"""How far a job is: a fold over its journal that reads each record once."""
+"""Progress of a job: a fold over its journal that reads each record once."""
 
 import threading
 from collections import Counter
@@ -13,12 +13,12 @@ from palpate.storage.records.record import EvaluationRecord
 
 
 class JobProgress:
-    """What the journal of one job says so far.
+    """The progress of one job according to its journal.
 
     Parameters
     ----------
     folder : Path
-        Of the study or diagnosis.
+        Folder of the study or diagnosis.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -37,11 +37,11 @@ class JobProgress:
 
     @property
     def bytes_read(self) -> int:
-        """Return how much of the journal has been read."""
+        """Return the number of bytes read from the journal."""
         return self._tail.offset
 
     def update(self) -> "JobProgress":
-        """Read what is new.
+        """Read new records.
 
         Raises
         ------
@@ -57,7 +57,7 @@ class JobProgress:
 
     @property
     def per_minute(self) -> float | None:
-        """Return evaluations a minute of late; None before the first have ended here."""
+        """Return the recent evaluations per minute; None before the first have ended here."""
         return self._pace.per_minute(self._workers)
 
     @property
@@ -92,14 +92,14 @@ class JobProgress:
 
 
 class ProgressBook:
-    """The progress of all jobs, each kept from one question to the next."""
+    """The progress of all jobs, kept between requests."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._by_folder: dict[Path, JobProgress] = {}
 
     def of(self, folder: Path) -> JobProgress:
-        """Return how far the job in a folder is.
+        """Return the progress of the job in a folder.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Reads a journal that grows, each record once."""
+"""Reader of a growing journal."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ READ_BYTES = 256 * 1024
 
 @dataclass(frozen=True)
 class JournalLine:
-    """A record, and where the next one begins.
+    """A record and the offset of the next one.
 
     Parameters
     ----------
@@ -26,12 +26,12 @@ class JournalLine:
 
 
 class JournalTail:
-    """Gives the records of a journal from some place on, as they come.
+    """New records of a journal from an offset on.
 
     Parameters
     ----------
     path : Path
-        May not be there yet.
+        Need not exist yet.
     offset : int
         In bytes: 0, or the `JournalLine.end` of a record.
 
@@ -49,7 +49,7 @@ class JournalTail:
             )
 
     def read(self, most_bytes: int = READ_BYTES) -> list[JournalLine]:
-        """Return whole records that have not been read; none if there are none now.
+        """Return complete unread records, if any.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class JournalTail:
         except ValueError as error:
             raise JournalError(
                 f"{self.path} is damaged after byte {self.offset}: {error}. "
-                "`palpate status` says how to repair it."
+                "`palpate status` explains how to repair it."
             ) from error
         return record
 

@@ -1,9 +1,8 @@
-"""Reduces records of a journal to what charts and counters need.
+"""Compact journal records for charts and counters.
 
-An evaluation becomes ``[candidate, generation, status, score, [genes], reason]``; which one is best
-the view of the job says. A record of 1 kB shrinks to 80 bytes,
-and many travel in one event, so that a page that is opened on 20,000 evaluations has them in a
-second or two.
+An evaluation becomes ``[candidate, generation, status, score, [genes], reason]``; the
+view of the job has the best one. A record of 1 kB shrinks to 80 bytes, and many are sent in one
+event, so that a page loads 20,000 evaluations in a second or two.
 """
 
 from collections.abc import Iterable, Mapping
@@ -13,13 +12,13 @@ REASON_CHARACTERS = 200
 
 
 def points(records: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return records in brief.
+    """Return compact records.
 
     Returns
     -------
     dict
         ``genes``: names, ``evaluations``: rows as above, ``steps``: of a diagnosis as
-        [phase, done, of, task], ``sessions``: how many more there have been.
+        [phase, done, of, task], ``sessions``: number of new ones.
     """
     brief: dict[str, Any] = {"genes": [], "evaluations": [], "steps": [], "sessions": 0}
     for record in records:

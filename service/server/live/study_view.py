@@ -1,4 +1,4 @@
-"""Says what a study asks, from its file alone."""
+"""The view of a study, from its file alone."""
 
 import yaml
 
@@ -11,7 +11,7 @@ from palpate.workers.spec import validated
 
 
 def study_view(job: Job) -> StudyView:
-    """Return the parameters of a study of the queue, and its file."""
+    """Return the parameters of a queued study, and its file."""
     spec = validated(StudySpec, job.request["spec"], "The study")
     return StudyView(
         parameters=[

@@ -1,4 +1,4 @@
-// Asks the API of the service that this page came from.
+// Requests to the API of the service that serves this page.
 
 const PREFIX = "/api/v1";
 
@@ -14,7 +14,7 @@ const answered = async (request) => {
   try {
     response = await request;
   } catch {
-    throw new Refused(0, "The service does not answer. This page goes on when it is back.");
+    throw new Refused(0, "The service does not answer. This page continues when it is back.");
   }
   if (response.status === 204) return null;
   const text = await response.text();
@@ -44,8 +44,8 @@ export const upload = (folder, file) =>
 
 export const address = (path) => PREFIX + path;
 
-// Follows server-sent events: `on` maps their kinds to functions. The browser asks again by
-// itself when the connection breaks, from where it was. Returns what ends it.
+// Follows server-sent events: `on` maps their kinds to functions. If the connection breaks, the
+// browser reconnects and continues. Returns a function that ends it.
 export const follow = (path, on, connected) => {
   const source = new EventSource(PREFIX + path);
   for (const [kind, act] of Object.entries(on))

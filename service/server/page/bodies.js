@@ -1,4 +1,4 @@
-// Slices and the body in three dimensions, by the viewers of the reports.
+// Slices and the body in three dimensions, in the viewers of the reports.
 
 import { get } from "./api.js";
 
@@ -25,21 +25,21 @@ export class BodiesSection {
     this.place = make("div");
     this.renew.addEventListener("click", () => this.load());
     this.root = make("section", { id: "bodies" }, make("h2", {}, "Target and best candidate"), this.words, this.renew, this.place);
-    this.words.textContent = "Body and target are being prepared.";
+    this.words.textContent = "The body and the target are being prepared.";
   }
 
-  // Shows the first bodies that there are; newer ones when the reader wants them.
+  // Shows the first available bodies; newer ones on request.
   update(job, sessions) {
     this.now = [job, sessions];
     const best = this.best;
-    if (best === this.shown) this.renew.hidden = true; // what was drawn may have been ahead of us
+    if (best === this.shown) this.renew.hidden = true; // the drawing may be newer than this view
     if (!sessions || this.loading || best === this.shown) return;
     if (this.shown === undefined || this.shown === null) {
       this.load();
       return;
     }
     this.renew.hidden = false;
-    this.renew.textContent = `show candidate ${best}, which is better`;
+    this.renew.textContent = `show candidate ${best}, now the best`;
   }
 
   get best() {
@@ -66,7 +66,7 @@ export class BodiesSection {
       this.shown = this.shown ?? null;
     }
     this.loading = false;
-    if (!this.failed && !this.page.ended) this.update(...this.now); // what has come meanwhile, perhaps the last there is
+    if (!this.failed && !this.page.ended) this.update(...this.now); // updates that arrived meanwhile, perhaps the last ones
   }
 
   async show(bodies) {

@@ -1,4 +1,4 @@
-// All that is known of one candidate, in a dialog: how it ended, its constants, its log.
+// The record of one candidate in a dialog: its ending, constants and log.
 
 import { get } from "./api.js";
 import { attempt } from "./trouble.js";
@@ -18,7 +18,7 @@ export const openCandidate = (job, candidate) =>
     for (const [name, value] of Object.entries(known.genes || {})) facts.append(fact(name, quantity(value)));
     for (const [name, value] of Object.entries(known.score || {})) facts.append(fact(name.toUpperCase().replace("_", ", "), number(value)));
     for (const [name, value] of Object.entries(known.seconds || {})) facts.append(fact(`${name}, s`, number(value, 3)));
-    for (const [name, value] of [["worker", known.worker], ["attempts", known.attempts], ["evaluated as", known.digest]])
+    for (const [name, value] of [["worker", known.worker], ["attempts", known.attempts], ["evaluation digest", known.digest]])
       if (value !== undefined && value !== null && value !== "") facts.append(fact(name, String(value)));
     const parts = [
       make("div", { class: "head" }, make("h2", { id: "dialog-title" }, `Candidate ${known.candidate}, generation ${known.generation}`), badge(known.status), close),
@@ -26,7 +26,7 @@ export const openCandidate = (job, candidate) =>
     if (known.reason) parts.push(make("p", { class: "note warn" }, known.reason));
     parts.push(facts);
     if (known.outcome && Object.keys(known.outcome).length)
-      parts.push(make("details", {}, make("summary", {}, "What the solver says"), make("pre", {}, JSON.stringify(known.outcome, null, 1))));
+      parts.push(make("details", {}, make("summary", {}, "Solver output"), make("pre", {}, JSON.stringify(known.outcome, null, 1))));
     if (known.traceback) parts.push(make("h3", {}, "Log of the worker"), make("pre", { class: "traceback", tabindex: "0" }, known.traceback));
     dialog.replaceChildren(...parts);
     if (!dialog.open) dialog.showModal();

@@ -1,6 +1,6 @@
-// A chart on a canvas that is drawn anew once a frame at most, whatever arrives.
+// A chart on a canvas that is redrawn at most once a frame.
 //
-// Twenty thousand dots are filled squares: 5 to 10 ms, where as many elements of SVG take seconds.
+// Twenty thousand dots drawn as filled squares take 5 to 10 ms; as SVG elements they take seconds.
 
 export const ticks = (low, high, most) => {
   const rough = (high - low) / Math.max(1, most);
@@ -19,7 +19,7 @@ export const scale = (low, high, from, to) => {
   return (value) => from + ((value - low) / span) * (to - from);
 };
 
-// An interval around finite values, with room at both ends.
+// An interval around finite values, with margins.
 export const limits = (values) => {
   let [low, high] = [Infinity, -Infinity];
   for (const value of values) if (Number.isFinite(value)) { low = Math.min(low, value); high = Math.max(high, value); }
@@ -29,8 +29,8 @@ export const limits = (values) => {
 };
 
 export class Chart {
-  // `draw(chart)` draws all; `place(x, y)` returns the candidate there; `pointed(candidate)` is
-  // told of it, `open(candidate)` of a click; `order()` gives candidates for the arrow keys.
+  // `draw(chart)` draws all; `place(x, y)` returns the candidate at a point; `pointed(candidate)` is
+  // called under the pointer, `open(candidate)` on a click; `order()` is used by the arrow keys.
   constructor(root, { name, height, draw, place, order, pointed, open }) {
     Object.assign(this, { root, heightOf: height, drawAll: draw });
     this.canvas = make("canvas", { class: "chart", "data-chart": name, role: "img", "aria-label": name });

@@ -1,4 +1,4 @@
-// Some studies side by side: their constants with intervals, and their scores.
+// A comparison of studies: their constants with intervals, and their scores.
 
 import { get } from "./api.js";
 import { badge, count, number } from "./words.js";

@@ -1,4 +1,4 @@
-// One job, live: what it is doing, its charts, failures, bodies and workers.
+// The live page of one job: its progress, charts, failures, bodies and workers.
 
 import { address, follow, get, send } from "./api.js";
 import { BodiesSection } from "./bodies.js";
@@ -18,7 +18,7 @@ const ENDED = ["finished", "failed", "cancelled"];
 const ACTIONS = {
   pause: ["waiting", "running"], resume: ["paused", "failed"], cancel: ["waiting", "running", "paused", "failed"],
 };
-const CANCEL = "Cancel this job for good? What is finished is kept, but it cannot be resumed.";
+const CANCEL = "Cancel this job permanently? Completed work is saved, but the job cannot be resumed.";
 
 const section = (id, title, ...children) => make("section", { id }, make("h2", {}, title), ...children);
 const path = (job) => `/jobs/${encodeURIComponent(job)}`;
@@ -75,7 +75,7 @@ const headOf = (page, id) => {
     if (action === "cancel" && !confirm(CANCEL)) return;
     const ended = ENDED.includes((await get(path(id))).state);
     page.update(await send("POST", `${path(id)}/${action}`));
-    if (ended) page.watch(); // its stream had come to its end
+    if (ended) page.watch(); // its stream had ended
   };
   const diagnose = async () => {
     const job = await send("POST", "/diagnoses", { source: { study: id } });
@@ -111,7 +111,7 @@ const leadOf = (job, progress) => {
   if (job.kind === "study") parts.push(`${progress.text} evaluations, ${job.generations} of at most ${job.generations_at_most} generations complete`);
   else if (progress.text) parts.push(progress.text);
   if (job.state === "running" && job.per_minute && !job.stopped)
-    parts.push(`${number(job.per_minute, 3)} a minute`, `at most ${leftOf(job)} left`);
+    parts.push(`${number(job.per_minute, 3)} per minute`, `at most ${leftOf(job)} left`);
   if (job.stopped) parts.push(`ended: ${job.stopped}`);
   return parts.join("; ");
 };
@@ -130,7 +130,7 @@ const studyOf = async (page, id) => {
   const bodies = new BodiesSection(page, id);
   const failures = failuresOf(points, id);
   const readout = make("p", { class: "readout", "aria-live": "polite" });
-  const hint = "Point at a dot to see its candidate in all charts, click it to open it; with the keyboard, the arrow keys go from one to the next.";
+  const hint = "Point at a dot to see its candidate in all charts, or click it for details. On the keyboard, use the arrow keys.";
   readout.textContent = hint;
   let charts = [];
   const redraw = () => charts.forEach((chart) => chart.redraw());
@@ -154,12 +154,12 @@ const studyOf = async (page, id) => {
   let job = null;
   return {
     sections: [
-      section("convergence", "How the search goes", figures[0], readout, why, best),
+      section("convergence", "Progress of the search", figures[0], readout, why, best),
       section("parameters", "Parameters between their bounds", figures[1]),
       section("parallel", "Parameters and score together", make("p", {}, "One line for each of the 300 best and the 100 newest candidates; stronger colours are better."), figures[2]),
       bodies.root,
       failures.root,
-      section("study", "The study", make("details", {}, make("summary", {}, "Its file, with all defaults"), make("pre", {}, asked.file))),
+      section("study", "The study", make("details", {}, make("summary", {}, "Study file, with all defaults"), make("pre", {}, asked.file))),
     ],
     add: (brief) => {
       points.add(brief);
@@ -228,14 +228,14 @@ const diagnosisOf = () => {
 
 const workersOf = () => {
   const body = make("tbody");
-  const none = make("p", {}, "There is none at this moment.");
+  const none = make("p", {}, "There are none at the moment.");
   const heads = ["Worker", "Running", "Waiting", "CPU", "Memory"];
   const root = section("workers", "Workers", none, make("div", { class: "scroll" }, make("table", { class: "cards" }, make("thead", {}, make("tr", {}, ...heads.map((h) => make("th", {}, h)))), body)));
   const meter = (value, most, text) => make("span", {}, make("meter", { value, max: most || 1, "aria-label": text }), make("span", { class: "beside" }, text));
   const update = (cluster) => {
     const workers = cluster ? cluster.workers : [];
     none.hidden = workers.length > 0;
-    none.textContent = (cluster && cluster.trouble) || "There is none at this moment.";
+    none.textContent = (cluster && cluster.trouble) || "There are none at the moment.";
     body.replaceChildren(...workers.map((w) => make("tr", {}, make("td", {}, w.name),
       make("td", { "data-is": "Running" }, String(w.running)), make("td", { "data-is": "Waiting" }, String(w.waiting)),
       make("td", { "data-is": "CPU" }, meter(w.cpu_percent, 100 * w.threads, `${Math.round(w.cpu_percent)} %`)),

@@ -58,12 +58,12 @@ export const showJobs = async (page) => {
   const heads = ["Job", "State", "Evaluations", "Failed", "Best score", "Time left, at most", "Owner", "Submitted"];
   const table = make("table", { class: "cards jobs" },
     make("thead", {}, make("tr", {}, ...heads.map((head) => make("th", {}, head)))), body);
-  const more = make("button", { type: "button", class: "quiet", hidden: "" }, "older ones");
+  const more = make("button", { type: "button", class: "quiet", hidden: "" }, "show older jobs");
   const study = submission();
   const diagnosis = diagnosisForm();
   const none = nothingYet(study, diagnosis);
   const chosen = new Set();
-  const compare = make("button", { type: "button", class: "quiet", disabled: "" }, "compare the chosen studies");
+  const compare = make("button", { type: "button", class: "quiet", disabled: "" }, "compare selected studies");
   compare.addEventListener("click", () => { location.hash = `#/compare/${[...chosen].map(encodeURIComponent).join(",")}`; });
   const scroll = make("div", { class: "scroll", hidden: "" }, table);
   page.main.append(make("h1", {}, "Studies and diagnoses"), none, study, diagnosis, scroll, more, compare);
@@ -97,7 +97,7 @@ export const showJobs = async (page) => {
   page.leave.push(follow("/events", { job: (job) => show(job) }, connected));
 };
 
-// What a new user sees: what can be done, with a first step that needs no files.
+// The page of a new user: possible first steps, one of which needs no files.
 const nothingYet = (study, diagnosis) => {
   const demo = make("button", { type: "button", class: "main needs-token" }, "Start the demo");
   demo.addEventListener("click", () => attempt(() => submitStudy(EXAMPLE, 0)));
@@ -112,7 +112,7 @@ const nothingYet = (study, diagnosis) => {
     study.querySelector("textarea").focus();
   });
   return make("div", { class: "empty" },
-    make("p", { class: "note" }, "Nothing has been submitted yet. The demo finds the stiffness of a virtual breast in a few minutes. With a scan at rest and one under load, a diagnosis says what a model of your own body lacks."),
+    make("p", { class: "note" }, "Nothing has been submitted yet. The demo finds the stiffness of a virtual breast in a few minutes. With a scan at rest and one under load, a diagnosis finds what your own model lacks."),
     make("p", { class: "actions" }, demo, scans, own));
 };
 
@@ -121,14 +121,14 @@ const submitStudy = async (text, priority) => {
   location.hash = `#/${encodeURIComponent(job.id)}`;
 };
 
-// A folder of uploads is named after its first file, in letters that the service takes.
+// A folder of uploads is named after its first file, in letters that the service accepts.
 const folderOf = (files) => {
   const named = files.find((file) => /\.ya?ml$/.test(file.name)) || files[0];
   const stem = named ? named.name.replace(/\..*$/, "") : "";
   return stem.replace(/[^A-Za-z0-9._-]+/g, "-").replace(/^[^A-Za-z0-9]+/, "").slice(0, 40);
 };
 
-// Files and the folder that they are uploaded to, which is filled in when they are chosen.
+// Files and their upload folder, whose name is suggested when they are chosen.
 const uploadFields = (hint) => {
   const folder = make("input", { type: "text", name: "folder", placeholder: "FOLDER", pattern: "[A-Za-z0-9][A-Za-z0-9._\\-]*" });
   const files = make("input", { type: "file", multiple: "", "aria-label": hint });
@@ -147,7 +147,7 @@ const submission = () => {
   const form = make("form", { class: "submission" },
     text,
     make("label", {}, "Read it from a file ", file),
-    make("fieldset", {}, make("legend", {}, "Images that it names as FOLDER/FILE"),
+    make("fieldset", {}, make("legend", {}, "Images, named FOLDER/FILE in the study"),
       make("label", {}, "files ", images.files), make("label", {}, "folder ", images.folder)),
     make("label", {}, "Priority ", priority),
     make("button", { class: "main" }, "Submit"));
@@ -168,7 +168,7 @@ const diagnosisForm = () => {
   const nodes = make("input", { type: "number", name: "nodes", value: "5000", min: "200", max: "500000" });
   const button = make("button", { class: "main" }, "Upload and diagnose");
   const form = make("form", { class: "submission" },
-    make("p", {}, "Choose the scans and the file that describes them, case.yaml. ", make("code", {}, "palpate new diagnosis NAME"), " writes one to fill in."),
+    make("p", {}, "Choose the scans and the file that describes them, case.yaml. ", make("code", {}, "palpate new diagnosis NAME"), " writes a template."),
     make("fieldset", {}, make("legend", {}, "Case and scans"),
       make("label", {}, "files ", scans.files), make("label", {}, "folder ", scans.folder)),
     make("label", {}, "Nodes of the mesh ", nodes),

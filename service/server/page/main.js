@@ -1,4 +1,4 @@
-// Shows the list of jobs or one job, says who is signed in and how the cluster is.
+// Shows the list of jobs or one job, the signed-in user and the state of the cluster.
 
 import { get, send } from "./api.js";
 import { showComparison } from "./compare.js";
@@ -11,8 +11,8 @@ const main = document.getElementById("main");
 const state = { owner: "", readToken: false, cluster: null };
 let leave = () => {};
 
-// What is on the screen: a place of its own, and what ends with it. Who leaves before its first
-// answer has come does not see it appear beside the next one, and nothing of it goes on.
+// The current view: its element, and the functions that end it. A view left before its first
+// answer does not appear in the next one, and nothing of it keeps running.
 const newPage = () => {
   const place = make("div");
   const page = { main: place, state, ended: false, ends: [] };
@@ -29,7 +29,7 @@ const route = async () => {
   main.replaceChildren();
   complain(null);
   if (state.readToken && !state.owner) {
-    main.append(make("section", {}, make("h1", {}, "Sign in"), make("p", {}, "Reading needs a token here. `palpate token new NAME` makes one.")));
+    main.append(make("section", {}, make("h1", {}, "Sign in"), make("p", {}, "Reading needs a token. Create one with `palpate token new NAME`.")));
     return;
   }
   const place = location.hash.replace(/^#\/?/, "");

@@ -1,5 +1,5 @@
-// The charts of a study: how the scores fall, where the best lie between the bounds, and how
-// parameters and score go together.
+// The charts of a study: scores over candidates, the best values between the bounds, and
+// parallel coordinates of parameters and score.
 
 import { Chart, limits, scale, ticks, tickText } from "./canvas.js";
 import { number } from "./words.js";
@@ -7,7 +7,7 @@ import { number } from "./words.js";
 const [LEFT, RIGHT, TOP, BOTTOM] = [54, 12, 34, 40];
 const NEAR_PX = 18;
 const [ROW, NARROW_ROW] = [58, 84];
-const SHADES = 5; // from the worst to the best
+const SHADES = 5; // from worst to best
 const BEST_LINES = 300;
 const NEWEST_LINES = 100;
 
@@ -22,7 +22,7 @@ const legend = (chart, items) => {
   }
 };
 
-// Scores of all evaluations and the best so far; failures stand along the top.
+// Scores of all evaluations and the best so far; failures are drawn along the top.
 export const convergence = (root, points, view) => {
   let places = new Map();
   const draw = (chart) => {
@@ -64,7 +64,7 @@ export const convergence = (root, points, view) => {
     if (steps.length) chart.line([...steps, [chart.width - RIGHT, steps[steps.length - 1][1]]], "blue", 2.2);
     if (places.has(view.pointed)) chart.ring(...places.get(view.pointed));
     chart.canvas.dataset.drawn = all.length;
-    chart.canvas.setAttribute("aria-label", `Scores of ${all.length} evaluations; the best is ${number(best)}. The arrow keys go from one to the next, Enter opens it.`);
+    chart.canvas.setAttribute("aria-label", `Scores of ${all.length} evaluations; the best is ${number(best)}. Use the arrow keys to move between them and Enter to open one.`);
   };
   const place = (x, y) => {
     let [found, least] = [null, NEAR_PX ** 2];
@@ -80,7 +80,7 @@ export const convergence = (root, points, view) => {
   });
 };
 
-// Every parameter between its bounds: the best tenth, the best, and the target where it is known.
+// Every parameter between its bounds: the best tenth, the best, and the target if known.
 export const ranges = (root, points, parameters, view) => {
   const draw = (chart) => {
     const narrow = chart.width < 600;
@@ -122,7 +122,7 @@ export const ranges = (root, points, parameters, view) => {
   return new Chart(root, { name: "ranges", height, draw });
 };
 
-// One line for each candidate through all parameters and the score: the best and the newest.
+// Parallel coordinates of parameters and score, for the best and the newest candidates.
 export const parallel = (root, points, parameters, view) => {
   const draw = (chart) => {
     const axes = [...parameters.map((p) => p.label), view.score];

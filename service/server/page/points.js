@@ -1,4 +1,4 @@
-// The evaluations of a study as they come: each once, in order of candidates where asked.
+// The evaluations of a study as they arrive, each once; sorted by candidate on request.
 
 const scoreOf = (told) => (told === null ? Infinity : told === "-inf" ? -Infinity : told === "inf" ? Infinity : told);
 
@@ -13,7 +13,7 @@ export class Points {
     if (brief.genes.length) this.genes = brief.genes;
     this.sessions += brief.sessions;
     for (const [candidate, generation, status, score, genes, reason] of brief.evaluations) {
-      if (this.known.has(candidate)) continue; // told again after the connection broke
+      if (this.known.has(candidate)) continue; // repeated after a reconnection
       this.known.add(candidate);
       const point = { candidate, generation, status, score: scoreOf(score), genes, reason };
       if (this.all.length && this.all[this.all.length - 1].candidate > candidate) this.sorted = false;
@@ -22,7 +22,7 @@ export class Points {
     }
   }
 
-  // The best candidate, which the service names with every change of the job.
+  // The best candidate, sent by the service with every change of the job.
   get best() {
     return (this.bestCandidate !== null && this.at(this.bestCandidate)) || null;
   }

@@ -1,4 +1,4 @@
-// Says what went wrong, until something goes right.
+// The error message, shown until an action succeeds.
 
 import { Refused } from "./api.js";
 
@@ -15,8 +15,8 @@ export const complain = (error) => {
   if (error && !(error instanceof Refused)) console.error(error);
 };
 
-// Does what a button asks, and says why it could not. What goes right takes back only what was
-// said before it began: a list that was still loading leaves the refusal of a token where it is.
+// Runs the action of a button and shows its error. A success clears only earlier messages: a
+// list that was still loading does not hide the refusal of a token.
 export const attempt = async (act) => {
   const before = complaints;
   try {
@@ -29,10 +29,10 @@ export const attempt = async (act) => {
   }
 };
 
-// A connection that is there takes back only its own complaint, not that of a button.
+// A restored connection clears only its own message, not one from a button.
 export const connected = (there) => {
   if (there && ofConnection) complain(null);
   if (there) return;
-  complain(new Refused(0, "The service does not answer. This page goes on when it is back."));
+  complain(new Refused(0, "The service does not answer. This page continues when it is back."));
   ofConnection = true;
 };

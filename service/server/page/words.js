@@ -1,4 +1,4 @@
-// Writes numbers, times and states as a reader wants them, as service/formatting.py does.
+// Numbers, times and states formatted for readers, as in service/formatting.py.
 
 export const number = (value, digits = 4) => {
   if (value === null || value === undefined || value === "nan") return "\u2013";

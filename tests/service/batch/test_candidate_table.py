@@ -1,4 +1,4 @@
-"""A table of candidates is understood or refused before any work starts."""
+"""Tables of candidates are parsed or rejected before any work starts."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,7 @@ COLUMNS = {"E_fat_kpa": np.array([8.0, 9.5]), "nu": [0.48, 0.49]}
 
 
 class Frame:
-    """Has of a pandas table what is needed."""
+    """A minimal stand-in for a pandas table."""
 
     columns = tuple(COLUMNS)
 
@@ -34,11 +34,11 @@ class Frame:
         np.array([(8.0, 0.48), (9.5, 0.49)], [("E_fat_kpa", "f8"), ("nu", "f8")]),
     ],
 )
-def test_all_kinds_of_tables_are_the_same(table: Any) -> None:
+def test_table_types_give_equal_candidates(table: Any) -> None:
     assert candidates_of(small_spec(), table) == ROWS
 
 
-def test_a_csv_file_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
+def test_csv_round_trip_is_exact(tmp_path: Path) -> None:
     values = np.random.default_rng(1).uniform(5, 20, 50)
     file = tmp_path / "table.csv"
     file.write_text("\ufeffE_fat_kpa, nu\n" + "".join(f"{v!r},0.49\n" for v in values.tolist()))
@@ -62,13 +62,13 @@ def test_a_csv_file_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
         (SimpleNamespace(), "found SimpleNamespace"),
     ],
 )
-def test_what_makes_no_sense_is_refused(table: Any, message: str) -> None:
+def test_rejects_invalid_tables(table: Any, message: str) -> None:
     with pytest.raises(InputError, match=re.escape(message)):
         candidates_of(small_spec(), table)
 
 
-def test_files_that_are_no_tables_are_refused(tmp_path: Path) -> None:
-    for text, message in (("", "is empty"), ("E_fat_kpa,nu\n8\n", "row 1: 2 columns are named")):
+def test_rejects_files_without_table(tmp_path: Path) -> None:
+    for text, message in (("", "is empty"), ("E_fat_kpa,nu\n8\n", "row 1: expected 2 values")):
         (tmp_path / "table.csv").write_text(text)
         with pytest.raises(InputError, match=message):
             read_table(tmp_path / "table.csv")

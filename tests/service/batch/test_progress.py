@@ -1,4 +1,4 @@
-"""The progress of a batch is counted and printed without a terminal."""
+"""Progress of a batch without a terminal."""
 
 import io
 
@@ -12,7 +12,7 @@ from palpate.service.cluster.single_process import SingleProcess
 from tests.recovery.stand_ins import TASKS, small_spec
 
 
-def test_lines_say_how_many_have_ended(
+def test_lines_count_completed_candidates(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(progress, "LINE_EVERY_S", 0.0)

@@ -1,4 +1,4 @@
-"""A batch agrees with a study to the last bit, and loses nothing when it is interrupted."""
+"""Batches equal studies exactly and survive interruptions."""
 
 import csv
 import json
@@ -29,7 +29,7 @@ TABLE = {"E_fat_kpa": [6.0, 8.0, 12.0, 8.0], "E_glandular_kpa": [20.0, 40.0, 78.
 
 
 class Stopped(SingleProcess):
-    """Is told to stop after some endings."""
+    """A runner that is asked to stop after some endings."""
 
     def __init__(self, after: int) -> None:
         self.left = after
@@ -65,7 +65,7 @@ def test_rows_are_in_order_with_failures_among_them(tmp_path: Path) -> None:
     assert len(repr(found)) < 200
 
 
-def test_a_batch_and_a_study_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
+def test_batch_equals_study_exactly(tmp_path: Path) -> None:
     folder = tmp_path / "runs" / "demo"
     run(folder, SingleProcess())
     endings = StudyLog.read(StudyLayout(folder).journal).endings.values()
@@ -84,7 +84,7 @@ def test_a_batch_and_a_study_are_the_same_to_the_last_bit(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("after", [0, 1, 7])
-def test_an_interrupted_batch_equals_a_calm_one(tmp_path: Path, after: int) -> None:
+def test_interrupted_batch_equals_uninterrupted_one(tmp_path: Path, after: int) -> None:
     table = small_spec().search.space
     points = np.linspace(table.lower, table.upper, 12)
     columns = dict(zip(table.names, points.T, strict=True))
@@ -100,7 +100,7 @@ def test_an_interrupted_batch_equals_a_calm_one(tmp_path: Path, after: int) -> N
     assert len(executions(folder)) == len(executions(tmp_path / "calm" / "demo"))
 
 
-def test_a_crash_is_a_row_and_is_tried_again(tmp_path: Path) -> None:
+def test_crash_is_recorded_and_retried(tmp_path: Path) -> None:
     folder = tmp_path / "runs" / "demo"
     set_manners(folder.parent / "store", crash_above=0.011)
     found = evaluate(folder, TABLE)
@@ -126,7 +126,7 @@ def test_the_table_is_written_and_read_back(tmp_path: Path) -> None:
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a study, whose tasks take no time and run in this process."""
+    """Provide a folder with a study of trivial tasks in this process."""
 
     @contextmanager
     def here(*arguments: Any) -> Iterator[Session[SingleProcess]]:
@@ -152,7 +152,7 @@ def test_the_command_writes_a_table(place: Path, capsys: pytest.CaptureFixture[s
     assert rows[0]["gsf"] == float(written[0]["gsf"])
 
 
-def test_the_command_makes_a_design(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_evaluates_design(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["evaluate", "study.yaml", "--design", "sobol", "--n", "8", "--seed", "3", "--json"]
     assert main(options) == 0
     rows = json.loads(capsys.readouterr().out)
@@ -166,12 +166,12 @@ def test_the_command_makes_a_design(place: Path, capsys: pytest.CaptureFixture[s
     [
         (["table.csv", "study.yaml"], "Row 2: E_fat_kpa must be above 0 kPa"),
         (["study.yaml"], "Give a table and a study"),
-        (["table.csv", "study.yaml", "--design", "sobol"], "give the study alone"),
+        (["table.csv", "study.yaml", "--design", "sobol"], "give only the study"),
         (["study.yaml", "--design", "sobel"], "no design 'sobel'"),
         (["table.csv", "study.yaml", "--out", "scores.xlsx"], ".xlsx is not known"),
     ],
 )
-def test_the_command_refuses_before_work_starts(
+def test_command_rejects_invalid_input_before_work_starts(
     place: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], message: str
 ) -> None:
     Path("table.csv").write_text("E_fat_kpa\n8\n-1\n")

@@ -139,8 +139,8 @@ Call = Callable[..., tuple[int, str, str]]
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["make", "set", "--truth", "set/truth"], "The truths must lie outside of the set"),
-        (["make", "set", "--truth", "."], "The truths must lie outside of the set"),
+        (["make", "set", "--truth", "set/truth"], "The truths must be outside the set"),
+        (["make", "set", "--truth", "."], "The truths must be outside the set"),
         (["make", "set", "--cases", "0"], "Invalid value for '--cases'"),
         (["run", "set"], "set is not a sealed set: it has no manifest.json"),
         (["score", "set"], "set is not a sealed set"),

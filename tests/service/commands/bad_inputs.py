@@ -1,4 +1,4 @@
-"""Bad inputs as a user meets them: files, options, environments, terminals, permissions.
+"""Bad inputs of users: files, options, environments, terminals, permissions.
 
 Each is one command line in a folder of its own, what is put there before, and what the one
 message must say.
@@ -27,7 +27,7 @@ IMAGES = IMAGES.replace(
     "{constants: {E_fat_kpa: 10}}", "{volume: pressed.npy, spacing_mm: 2, LABELS}"
 )
 IMAGES = IMAGES.replace("LABELS", "labels: {0: air, 1: fat, 2: glandular}")
-# Lists of nine times the list before: four billion words if somebody writes them out.
+# Each list repeats the previous one nine times: four billion words when expanded.
 BOMBED = "once its aliases (*) are written out"
 BOMB = "[&a0 [x], " + ", ".join(f"&a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 11))
 BOMB += "]"
@@ -44,19 +44,19 @@ class BadInput:
     command : str
         ``palpate`` is the installed command.
     said : str
-        Stands in the message.
+        Expected part of the message.
     prepare : callable
-        Makes files, given the folder, in which study.yaml lies already.
+        Creates files in the given folder, which contains study.yaml.
     code : int
         Exit code.
     environment : mapping
-        Variables besides those of the test.
+        Additional environment variables.
     plain_user : bool
-        Run without the right to write anywhere, which root has.
+        Run without root's permission to write anywhere.
     folder : str
-        Where it runs, in the folder of the case.
+        Working folder, inside the folder of the case.
     in_shell : bool
-        The command is one for a shell.
+        Run the command in a shell.
     """
 
     command: str
@@ -80,7 +80,7 @@ def data(content: bytes, name: str = "study.yaml") -> Prepare:
 
 
 def with_change(old: str, new: str, study: str = STUDY) -> Prepare:
-    """Write a study file in which something is wrong."""
+    """Write a study file with an error."""
     assert old in study
     return text(study.replace(old, new, 1))
 
@@ -105,7 +105,7 @@ def images(
 
 
 def all_of(*steps: Prepare) -> Prepare:
-    """Do one after the other."""
+    """Return a function that applies several in turn."""
 
     def prepare(place: Path) -> None:
         for step in steps:
@@ -115,7 +115,7 @@ def all_of(*steps: Prepare) -> Prepare:
 
 
 def locked(name: str, mode: int) -> Prepare:
-    """Take rights from a file or a folder, which is made if it is missing."""
+    """Remove permissions from a file or a folder, creating it if missing."""
 
     def prepare(place: Path) -> None:
         path = place / name
@@ -127,7 +127,7 @@ def locked(name: str, mode: int) -> Prepare:
 
 
 def exchanged(place: Path) -> None:
-    """Let reference and target change places."""
+    """Swap reference and target."""
     os.rename(place / "rest.npy", place / "other.npy")  # noqa: PTH104
     os.rename(place / "pressed.npy", place / "rest.npy")  # noqa: PTH104
     os.rename(place / "other.npy", place / "pressed.npy")  # noqa: PTH104
@@ -227,7 +227,9 @@ OPTIONS = {
     "no worker": BadInput(f"{RUN} --workers 0", "--workers must be at least 1"),
     "workers in words": BadInput(f"{RUN} --workers two", "--workers two: expected a number"),
     "a range without workers": BadInput(f"{RUN} --workers 0-4", "one worker is always kept"),
-    "a scheduler that is no address": BadInput(f"{RUN} --scheduler foo", "tcp://127.0.0.1:8786"),
+    "a scheduler that is not an address": BadInput(
+        f"{RUN} --scheduler foo", "tcp://127.0.0.1:8786"
+    ),
     "a scheduler with a web address": BadInput(
         f"{RUN} --scheduler http://127.0.0.1:8787", "invalid address"
     ),
@@ -258,10 +260,10 @@ OPTIONS = {
     ),
     "a mesh of 400 nodes": BadInput("palpate mesh study.yaml --nodes 400", "Ask for 850 nodes"),
     "a mesh in an unknown form": BadInput("palpate mesh study.yaml --out mesh.txt", ".vtu"),
-    "a mesh for no folder": BadInput("palpate mesh study.yaml --out no/mesh.vtu", "make it first"),
+    "a mesh for no folder": BadInput("palpate mesh study.yaml --out no/mesh.vtu", "create it"),
     "an unknown preset": BadInput("palpate phantom --preset huge", "huge"),
     "labels in another form": BadInput(
-        "palpate import rest.npy --name n --labels 0:air", "expected such as 0=air"
+        "palpate import rest.npy --name n --labels 0:air", "expected e.g. 0=air"
     ),
     "an evil name of an image": BadInput(
         "palpate import rest.npy --name ../evil --spacing-mm 2 2 2", "The name", images()
@@ -272,7 +274,7 @@ OPTIONS = {
     "an organ that is none": BadInput("palpate parameters --organ liver", "unknown organ 'liver'"),
     "a kind that is none": BadInput("palpate new planet mine", "planet"),
     "a name with a slash": BadInput("palpate new breast a/b", "name"),
-    "a file that is there": BadInput("palpate new breast study", "is there already"),
+    "a file that is there": BadInput("palpate new breast study", "already exists"),
     "sizes in words": BadInput("palpate bench --nodes many", "expected positive numbers"),
     "a diagnosis on ten nodes": BadInput("palpate diagnose study.yaml --nodes 10", "--nodes"),
     "workers in the environment": BadInput(

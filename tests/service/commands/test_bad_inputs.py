@@ -1,4 +1,4 @@
-"""Bad inputs end with one message and exit code 2; nothing is half-written.
+"""Bad inputs give one message and exit code 2, and no partial files.
 
 Interrupts, streams and terminals are those of the command as a user types it; what needs no
 shell runs in forks of one process.
@@ -23,7 +23,7 @@ from tests.service.forked_commands import ForkedCommands, forked_commands
 
 ROOT = Path(__file__).parents[3]
 BIN = Path(sys.executable).parent
-# Root may write everywhere; without these rights it is a user like others.
+# Capabilities that let root write everywhere.
 PLAIN_USER = ["setpriv", "--bounding-set", "-dac_override,-dac_read_search", "--inh-caps"]
 PLAIN_USER += ["-dac_override,-dac_read_search"]
 
@@ -32,7 +32,7 @@ Ran = subprocess.CompletedProcess[str]
 
 @pytest.fixture(scope="module")
 def palpate(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Return an environment in which `palpate` is the installed command, of this source."""
+    """Return an environment where `palpate` runs this source."""
     found = BIN / "palpate"
     if not found.exists():
         found = tmp_path_factory.mktemp("bin") / "palpate"
@@ -45,14 +45,14 @@ def palpate(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def forked(palpate: dict[str, str]) -> Iterator[ForkedCommands]:
-    """Run commands without waiting for Python's imports."""
+    """Run commands without the time for imports."""
     with forked_commands(palpate) as commands:
         yield commands
 
 
 @pytest.fixture(scope="module")
 def forked_as_plain_user(palpate: dict[str, str]) -> Iterator[ForkedCommands]:
-    """The same, by one who may not write everywhere."""
+    """Run commands without permission to write everywhere."""
     if os.geteuid() == 0 and shutil.which("setpriv") is None:
         pytest.skip("setpriv, which makes root a user like others, is not installed")
     with forked_commands(palpate, PLAIN_USER if os.geteuid() == 0 else ()) as commands:
@@ -63,7 +63,7 @@ def forked_as_plain_user(palpate: dict[str, str]) -> Iterator[ForkedCommands]:
 def run(
     request: pytest.FixtureRequest, palpate: dict[str, str], tmp_path: Path
 ) -> Callable[[BadInput, Path], Ran]:
-    """Run a command as its case wants it."""
+    """Run the command of a case."""
 
     def in_shell(case: BadInput, place: Path) -> Ran:
         return subprocess.run(
@@ -87,13 +87,13 @@ def run(
 
 
 def files(place: Path) -> set[str]:
-    """Return what lies in a folder, without what a store is made of."""
+    """Return the contents of a folder, without the parts of a store."""
     everything = {str(path.relative_to(place)) for path in place.rglob("*") if not path.is_dir()}
     return {name for name in everything if not name.startswith(("runs/store/", "s/"))}
 
 
 @pytest.mark.parametrize("name", BAD_INPUTS)
-def test_one_message_exit_code_2_and_nothing_half_written(
+def test_error_message_exit_code_and_no_partial_files(
     run: Callable[[BadInput, Path], Ran], tmp_path: Path, name: str
 ) -> None:
     case, place = BAD_INPUTS[name], tmp_path / "place"
@@ -116,7 +116,7 @@ def test_one_message_exit_code_2_and_nothing_half_written(
 # --- interrupts --------------------------------------------------------------------
 
 
-def test_an_interrupt_that_no_command_has_noticed_is_said(
+def test_unhandled_interrupt_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stopped = typer.Typer()
@@ -131,15 +131,15 @@ def test_an_interrupt_that_no_command_has_noticed_is_said(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-# None: once it has begun.
+# None: after it has started.
 @pytest.mark.parametrize("after_s", [0.0, 0.3, pytest.param(None, marks=pytest.mark.slow)])
-def test_an_interrupt_says_how_to_go_on(
+def test_interrupt_prints_how_to_continue(
     palpate: dict[str, str], tmp_path: Path, number: int, after_s: float | None
 ) -> None:
     (tmp_path / "my study.yaml").write_text(STUDY)
     arguments = ["run", "my study.yaml", "--store", "a store", "--workers", "1"]
-    # A shell without job control starts what is in the background deaf to SIGINT, and its
-    # children too; what has a handler here begins with the default there.
+    # A shell without job control starts background processes ignoring SIGINT; a signal with a
+    # handler here is reset to its default in the child.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     with subprocess.Popen(
         ["palpate", *arguments],
@@ -157,7 +157,7 @@ def test_an_interrupt_says_how_to_go_on(
         process.send_signal(number)
         _, said = process.communicate(timeout=300)
     assert "Traceback" not in said
-    if process.returncode == -number:  # before Python could take notice
+    if process.returncode == -number:  # before Python handled the signal
         assert after_s is not None
         return
     assert process.returncode == 130
@@ -179,7 +179,7 @@ def test_an_interrupt_says_how_to_go_on(
     ],
     ids=lambda environment: next(iter(environment)),
 )
-def test_strange_terminals_get_their_text(
+def test_output_on_unusual_terminals(
     palpate: dict[str, str], tmp_path: Path, environment: dict[str, str]
 ) -> None:
     done = subprocess.run(

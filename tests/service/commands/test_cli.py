@@ -1,4 +1,4 @@
-"""The commands: what they print, and how they end."""
+"""Output and exit codes of commands."""
 
 import json
 import subprocess
@@ -26,14 +26,14 @@ def study(tmp_path: Path) -> Path:
     return folder
 
 
-def test_new_writes_a_study_that_can_be_read_and_keeps_what_is_there(call: Call) -> None:
+def test_new_writes_readable_study_and_keeps_existing_file(call: Call) -> None:
     code, out, _ = call("new", "breast", "mine")
     assert code == 0
     assert "palpate run mine.yaml" in out
     assert "name: mine " in Path("mine.yaml").read_text()
     code, _, err = call("new", "breast", "mine")
     assert (code, err.count("\n")) == (2, 1)
-    assert "is there already" in err
+    assert "already exists" in err
 
 
 @pytest.mark.parametrize(
@@ -54,17 +54,17 @@ def test_new_writes_a_study_that_can_be_read_and_keeps_what_is_there(call: Call)
         (["report", "nix", "--json"], "There is no study nix"),
         (["show", "first"], "give its number, or best"),
         (["new", "breast", "a/b"], "name"),
-        (["import", "x.nrrd", "--name", "n", "--labels", "0:air"], "expected such as 0=air"),
+        (["import", "x.nrrd", "--name", "n", "--labels", "0:air"], "expected e.g. 0=air"),
         (["import", "x.nrrd", "--name", "n"], "x.nrrd does not exist"),
         (["phantom", "--preset", "huge"], "huge"),
         (["phantom", "--out", "p.txt"], ".nrrd"),
-        (["mesh", "study.yaml", "--out", "no/where.vtu"], "does not exist, make it first"),
+        (["mesh", "study.yaml", "--out", "no/where.vtu"], "does not exist; create it"),
         (["simulate", "study.yaml", "--set", "E_fat_kpa"], "expected NAME=VALUE"),
         (["simulate", "study.yaml", "--set", "E_fatt_kpa=3"], "did you mean 'E_fat_kpa'"),
         (["bench", "--nodes", "many"], "expected positive numbers"),
     ],
 )
-def test_mistakes_end_with_one_message_and_exit_code_2(
+def test_user_errors_give_one_message_and_exit_code_2(
     call: Call, tmp_path: Path, arguments: list[str], said: str
 ) -> None:
     (tmp_path / "study.yaml").write_text(SPEC)
@@ -76,7 +76,7 @@ def test_mistakes_end_with_one_message_and_exit_code_2(
     assert out == ""
 
 
-def test_a_wrong_option_is_a_mistake_too(call: Call) -> None:
+def test_wrong_option_gives_exit_code_2(call: Call) -> None:
     assert call("run", "--nosuch")[0] == 2
     assert call("--version")[0] == 0
     assert call("--help")[0] == 0
@@ -102,7 +102,7 @@ def test_show_gives_genes_score_and_reason(call: Call, study: Path) -> None:
     assert json.loads(call("show", "demo", "best", "--json")[1]) == best
     assert json.loads(call("show", "best", "demo", "--json")[1]) == best  # as in earlier versions
     assert call("show", 999)[0] == 2
-    assert "found 3 words" in call("show", "demo", "best", "2")[2]
+    assert "found 3 arguments" in call("show", "demo", "best", "2")[2]
 
 
 def test_report_prints_estimates_and_json(call: Call, study: Path) -> None:
@@ -131,7 +131,7 @@ def test_a_damaged_journal_is_named(call: Call, study: Path) -> None:
         assert "line 1: not a JSON record" in err
 
 
-def test_an_image_is_imported_under_its_name_once(call: Call, tmp_path: Path) -> None:
+def test_imports_image_name_once(call: Call, tmp_path: Path) -> None:
     values = np.zeros((8, 9, 10), np.uint8)
     values[2:6, 2:7, 2:8] = 1
     values[3:5, 3:5, 3:5] = 2
@@ -163,8 +163,8 @@ def test_a_phantom_is_written_as_it_is_read(call: Call, tmp_path: Path) -> None:
     }
 
 
-def test_help_is_quick() -> None:
-    """No command loads numba, Dask or Zarr before it is called."""
+def test_help_is_fast() -> None:
+    """Commands load numba, Dask and Zarr only when called."""
     code = (
         "import sys, palpate.service.cli\n"
         "print([m for m in ('numba', 'dask', 'zarr') if m in sys.modules])"
@@ -198,7 +198,7 @@ def test_constants_of_a_law_are_listed_on_request(call: Call) -> None:
 
 
 def test_fit_law_with_few_points(call: Call, tmp_path: Path) -> None:
-    """Three points fix the modulus of one law; they cannot rank several, nor fix four constants."""
+    """Three points determine the modulus of one law, but neither a ranking nor four constants."""
     stretch = np.array([1.1, 1.2, 1.3])
     rows = [f"{x},{3 * (x - x**-2)}" for x in stretch]
     table = tmp_path / "table.csv"
@@ -209,14 +209,14 @@ def test_fit_law_with_few_points(call: Call, tmp_path: Path) -> None:
     assert fit["shear_modulus_kpa"] == pytest.approx(3, rel=1e-4)
     assert call("fit-law", str(table), "--law", "neo-hookean")[0] == 0
     code, _, err = call("fit-law", str(table))
-    assert (code, "too few points to compare it" in err) == (2, True)
+    assert (code, "too few points to compare" in err) == (2, True)
     table.write_text("\n".join(["stretch,stress_kpa", rows[0]]))
     code, _, err = call("fit-law", str(table), "--law", "yeoh")
     assert (code, "1 points under load, but yeoh has 3 constants" in err) == (2, True)
 
 
 def test_laws_are_fitted_to_tables(call: Call, tmp_path: Path) -> None:
-    """Tables of Fung's law with mu0 = 4 kPa and b = 2, by hand."""
+    """Tables of Fung's law with mu0 = 4 kPa and b = 2, computed by hand."""
     stretch = np.linspace(0.8, 1.5, 12)
     first = stretch**2 + 2 / stretch
     stress = 4 * np.exp(2 * (first - 3)) * (stretch - stretch**-2)

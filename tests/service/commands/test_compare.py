@@ -1,4 +1,4 @@
-"""`palpate compare` prints, and writes a table and a page."""
+"""Console output, table and page of `palpate compare`."""
 
 import json
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""`palpate import` shows what it understood, so that a slip of the axes can be seen."""
+"""The preview of `palpate import`, which reveals wrong axes."""
 
 import json
 import re
@@ -21,7 +21,7 @@ CONE[2:6, 8:12, 8:14] = 2
 BODY = Volume(CONE, (1.0, 2.0, 4.0))
 
 
-def test_facts_are_those_of_the_image() -> None:
+def test_facts_agree_with_image() -> None:
     rows = dict(facts(summarise(BODY, named=True), "y,x,z"))
     assert rows["voxels"] == "20 x 20 x 12"
     assert rows["spacing"] == "1 x 2 x 4 mm"
@@ -32,10 +32,10 @@ def test_facts_are_those_of_the_image() -> None:
     gland = 4 * 4 * 6 * 8 / 1000
     fat = (CONE == 1).sum() * 8 / 1000
     assert rows["glandular"].startswith(f"{gland:.4g} ml, {100 * gland / (fat + gland):.3g} %")
-    assert rows["together"] == f"{fat + gland:.4g} ml"
+    assert rows["total"] == f"{fat + gland:.4g} ml"
 
 
-def test_a_body_upside_down_is_doubted() -> None:
+def test_warns_about_reversed_body() -> None:
     assert doubt(BODY) == ""
     turned = doubt(Volume(np.ascontiguousarray(CONE[::-1]), BODY.spacing_mm))
     assert "--axes" in turned
@@ -66,7 +66,7 @@ def test_colours_come_as_half_blocks() -> None:
     assert "38;2;168;50;110" in drawn  # glandular tissue
 
 
-def test_import_shows_it_in_a_pipe_and_as_a_picture(
+def test_import_prints_and_draws_preview(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

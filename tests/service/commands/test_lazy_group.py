@@ -1,4 +1,4 @@
-"""Commands that are listed without being imported."""
+"""Commands are listed without importing them."""
 
 import inspect
 import os
@@ -12,7 +12,7 @@ from palpate.service.cli import COMMANDS
 
 
 def complete(words: str) -> list[str]:
-    """Return what bash is offered after some words."""
+    """Return the bash completions after some words."""
     environment = os.environ | {
         "_PALPATE_COMPLETE": "complete_bash",
         "COMP_WORDS": words,
@@ -35,7 +35,7 @@ def test_the_summary_is_the_first_sentence_of_the_help(name: str) -> None:
     assert COMMANDS[name].summary == " ".join(first.split())
 
 
-def test_the_list_of_commands_imports_none() -> None:
+def test_listing_imports_no_command() -> None:
     code = (
         "import sys\n"
         "from palpate.service.cli import main\n"
@@ -52,7 +52,7 @@ def test_the_list_of_commands_imports_none() -> None:
 
 
 @pytest.mark.parametrize("organ", ["breast", "cornea"])
-def test_a_study_is_read_without_its_solver(organ: str) -> None:
+def test_reading_study_does_not_import_solver(organ: str) -> None:
     code = (
         "import sys\n"
         "import palpate.service.commands.studies.status\n"

@@ -1,4 +1,4 @@
-"""Commands on a store in a bucket: what cannot be used is one clear message and exit code 2."""
+"""Commands on a store in a bucket; an unusable one gives one message and exit code 2."""
 
 import json
 import os
@@ -26,7 +26,7 @@ Call = Callable[..., tuple[int, str, str]]
 
 @contextmanager
 def server_of(answer: Callable[[BaseHTTPRequestHandler], None]) -> Iterator[str]:
-    """An HTTP server of the test's own; its address."""
+    """Start an HTTP server and provide its address."""
 
     class Handler(BaseHTTPRequestHandler):
         def log_message(self, *_: Any) -> None:
@@ -62,7 +62,7 @@ def deny(handler: BaseHTTPRequestHandler) -> None:
 
 
 def without_conditions(address: str) -> Callable[[BaseHTTPRequestHandler], None]:
-    """Forward everything to `address` but the header If-None-Match, as some servers behave."""
+    """Forward requests to `address` without the header If-None-Match, like some servers."""
 
     def forward(handler: BaseHTTPRequestHandler) -> None:
         body = handler.rfile.read(int(handler.headers.get("Content-Length", 0)))
@@ -80,13 +80,13 @@ def without_conditions(address: str) -> Callable[[BaseHTTPRequestHandler], None]
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An address that leads nowhere is given up after half a second."""
+    """Limit the time for unreachable addresses to half a second."""
     monkeypatch.setattr(object_client, "FIRST_PATIENCE_S", 0.5)
 
 
 @pytest.fixture
 def study(bucket: str, tmp_path: Path) -> Path:
-    """A finished study whose store is in a bucket, with fields."""
+    """Provide a completed study with fields and a store in a bucket."""
     folder = tmp_path / "runs" / "demo"
     run(folder, Inline(), store=f"{bucket}/store")
     store = open_store(f"{bucket}/store")
@@ -95,7 +95,7 @@ def study(bucket: str, tmp_path: Path) -> Path:
     return folder
 
 
-def test_what_cannot_be_used_is_said_once(
+def test_unusable_store_gives_one_message(
     call: Call, bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for place, words in (
@@ -117,7 +117,7 @@ def test_what_cannot_be_used_is_said_once(
     assert "AWS_ACCESS_KEY_ID" in err
 
 
-def test_keys_come_from_the_environment_or_else_from_a_profile(
+def test_credentials_come_from_environment_or_profile(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     signed: list[str] = []
@@ -149,7 +149,7 @@ def test_keys_come_from_the_environment_or_else_from_a_profile(
     assert (code, "There is no profile lob in" in err, "Traceback" in err) == (2, True, False)
 
 
-def test_what_google_and_azure_need_is_named(
+def test_error_names_google_and_azure_credentials(
     call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     for name in [name for name in os.environ if name.startswith(("AZURE_", "GOOGLE_"))]:
@@ -173,7 +173,7 @@ def test_what_google_and_azure_need_is_named(
 
 
 @pytest.mark.parametrize("scheme", ["s3", "gs", "az"])
-def test_a_store_that_needs_obstore_says_how_to_get_it(
+def test_error_explains_installing_obstore(
     call: Call, scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "obstore.store", None)
@@ -183,7 +183,7 @@ def test_a_store_that_needs_obstore_says_how_to_get_it(
     assert (code, "pip install 'palpate[cloud]'" in err) == (2, True)
 
 
-def test_the_doctor_says_whether_conditions_are_honoured(
+def test_doctor_reports_conditional_put(
     call: Call, bucket: str, object_server: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from palpate.service.cluster.doctor import _store_problems, try_store
@@ -216,7 +216,7 @@ def test_damage_is_set_aside_and_garbage_removed(call: Call, study: Path, bucket
     code, out, _ = call("store", "gc", *wanted, "--json")
     found = json.loads(out)
     assert code == 0
-    # The tangents at the best candidate belong to no candidate.
+    # The derivatives at the best candidate do not belong to a candidate.
     assert f"{place}/fields/part.zarr" in found["entries"]
     assert found["bytes"] > 100
     assert has_field(store, "part")
@@ -246,7 +246,7 @@ def test_a_study_moves_between_bucket_and_folder(
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".tmp")] == []
 
 
-def test_what_a_killed_writer_left_goes_after_a_day(
+def test_removes_old_partial_files(
     call: Call, study: Path, bucket: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = open_store(f"{bucket}/store")

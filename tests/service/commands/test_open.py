@@ -1,4 +1,4 @@
-"""`palpate open`: the page that belongs to a folder, in a browser where there is one."""
+"""`palpate open`: the page of a folder, in a browser if there is one."""
 
 import os
 import webbrowser
@@ -12,7 +12,7 @@ from palpate.service.commands import open_
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Addresses that a browser was given."""
+    """Provide the list of addresses opened in the browser."""
     addresses: list[str] = []
     monkeypatch.setenv("BROWSER", "a-browser")
     monkeypatch.setattr(webbrowser, "open", lambda address: addresses.append(address) or True)
@@ -29,7 +29,7 @@ def test_the_page_of_a_diagnosis(
     assert capsys.readouterr().out == f"page: {page}\n"
 
 
-def test_a_page_that_is_older_than_its_journal_is_written_anew(
+def test_rewrites_outdated_page(
     tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal, page = tmp_path / "journal.jsonl", tmp_path / "report.html"

@@ -1,4 +1,4 @@
-"""`palpate schema` says what each file may hold."""
+"""JSON schemas printed by `palpate schema`."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -27,7 +27,7 @@ def properties(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=" ".join)
-def test_every_key_has_a_meaning_and_unknown_ones_are_refused(call: Call, kind: list[str]) -> None:
+def test_keys_have_descriptions_and_unknown_ones_are_rejected(call: Call, kind: list[str]) -> None:
     code, out, _ = call("schema", *kind)
     schema = json.loads(out)
     assert code == 0
@@ -45,9 +45,7 @@ def test_every_key_has_a_meaning_and_unknown_ones_are_refused(call: Call, kind: 
         (["experiment"], "examples/beam.yaml"),
     ],
 )
-def test_an_example_follows_the_schema_and_a_slip_does_not(
-    call: Call, kind: list[str], file: str
-) -> None:
+def test_accepts_example_and_rejects_typo(call: Call, kind: list[str], file: str) -> None:
     _, out, _ = call("schema", *kind)
     check = jsonschema.Draft202012Validator(json.loads(out))
     given = yaml.safe_load((ROOT / file).read_text())
@@ -55,7 +53,7 @@ def test_an_example_follows_the_schema_and_a_slip_does_not(
     assert list(check.iter_errors(given | {"colour": "red"}))
 
 
-def test_it_is_written_for_an_editor(call: Call, tmp_path: Path) -> None:
+def test_writes_schema_file(call: Call, tmp_path: Path) -> None:
     code, out, _ = call("schema", "study", "--out", str(tmp_path / "study.schema.json"))
     assert code == 0
     assert f"$schema={tmp_path / 'study.schema.json'}" in out

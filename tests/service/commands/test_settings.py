@@ -1,4 +1,4 @@
-"""What holds where an option is not given, and what a command says of itself."""
+"""Defaults of options, logs and hints of commands."""
 
 import shlex
 import subprocess
@@ -22,7 +22,7 @@ from palpate.storage.errors import InputError
 from tests.recovery.stand_ins import SPEC, TASKS, Inline, run, set_manners
 
 
-def test_an_option_counts_more_than_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_option_overrides_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     assert cluster_options(None, None) == (None, None)
     monkeypatch.setenv("PALPATE_WORKERS", "1-3")
     assert cluster_options(None, None) == (None, WorkerRange(1, 3))
@@ -51,7 +51,7 @@ def test_an_option_counts_more_than_the_environment(monkeypatch: pytest.MonkeyPa
         *((text, "expected a number") for text in ("a-b", "", "1-", "-4", "1-4-8", "2.5", "4 2")),
     ],
 )
-def test_what_is_no_number_of_workers(text: str, said: str) -> None:
+def test_rejects_invalid_number_of_workers(text: str, said: str) -> None:
     with pytest.raises(InputError, match=said):
         read_workers(text)
 
@@ -82,12 +82,12 @@ def test_addresses_of_a_scheduler(address: str, expected: tuple[str, int]) -> No
 @pytest.mark.parametrize(
     "address", ["foo", "", "tcp://foo", "http://foo:8787", "tcp://foo:0", "foo:99999", "a b:1"]
 )
-def test_what_is_no_address_is_refused_before_anything_is_tried(address: str) -> None:
+def test_rejects_invalid_address_without_connecting(address: str) -> None:
     with pytest.raises(ClusterError, match="invalid address"):
         host_and_port(address)
 
 
-def test_a_host_that_nobody_knows_is_not_waited_for() -> None:
+def test_unknown_host_fails_immediately() -> None:
     with pytest.raises(ClusterError, match="is unknown"):
         check_reachable("tcp://no.such.host.invalid:8786", patience_s=60.0)
 
@@ -108,11 +108,11 @@ def test_shells_can_complete_commands(shell: str) -> None:
     assert done.stderr == ""
 
 
-# --- the log, and how to go on ----------------------------------------------------------
+# --- the log, and how to continue -------------------------------------------------------
 
 
 class Crashing(Inline):
-    """Tells of an exception as a worker does."""
+    """A task that fails like one on a worker."""
 
     def __init__(self, *_: Any, **__: Any) -> None: ...
 
@@ -127,7 +127,7 @@ class Crashing(Inline):
 
 @pytest.fixture
 def without_cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Let `palpate run` compute by arithmetic, in this process."""
+    """Make `palpate run` use arithmetic stand-ins in this process."""
     from contextlib import contextmanager
 
     @contextmanager
@@ -153,7 +153,7 @@ def test_a_run_keeps_a_log_with_times_and_tracebacks(without_cluster: Path) -> N
     assert log[:2] == "20"
 
 
-def test_a_study_in_which_all_crashes_ends_with_exit_code_2(
+def test_study_with_only_crashes_gives_exit_code_2(
     without_cluster: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     set_manners(without_cluster / "runs" / "store", crash_above=0.0)
@@ -168,12 +168,12 @@ def test_a_study_in_which_all_crashes_ends_with_exit_code_2(
     assert main(["run", "study.yaml"]) == 0
 
 
-def test_a_log_that_cannot_be_written_is_left_out(without_cluster: Path) -> None:
+def test_runs_without_writable_log(without_cluster: Path) -> None:
     (without_cluster / "runs" / "demo" / "palpate.log").mkdir(parents=True)
     assert main(["run", "study.yaml"]) == 0
 
 
-def test_the_hint_after_an_interrupt_keeps_all_options_and_quotes(
+def test_interrupt_hint_repeats_options_with_quoting(
     without_cluster: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupt(*_: Any, **__: Any) -> Any:
@@ -190,7 +190,7 @@ def test_the_hint_after_an_interrupt_keeps_all_options_and_quotes(
     assert again in capsys.readouterr().err
 
 
-def test_the_failures_of_a_study_elsewhere_are_shown_from_there(
+def test_shows_failures_of_study_in_other_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "my runs" / "demo"
@@ -203,7 +203,7 @@ def test_the_failures_of_a_study_elsewhere_are_shown_from_there(
     assert main(shlex.split(hint)[1:]) == 0
 
 
-def test_only_ratios_are_reported_where_plates_stand_at_a_distance(
+def test_reports_only_ratios_for_known_plate_distance(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     import json

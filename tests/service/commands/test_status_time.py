@@ -1,4 +1,4 @@
-"""How long a study has run is known in its first generation, too."""
+"""The run time of a study is known even in its first generation."""
 
 import os
 from collections.abc import Iterator
@@ -18,12 +18,12 @@ from tests.recovery.stand_ins import TASKS, Inline, small_spec
 HOURS = 3
 
 
-class Stopped(Exception):  # noqa: N818 - somebody pulls the plug
+class Stopped(Exception):  # noqa: N818 - simulates a power cut
     """Raised within the first generation."""
 
 
 class Interrupting(Inline):
-    """Evaluates three candidates, then stops."""
+    """A runner that stops after three evaluations."""
 
     def run(self, task: Any, calls: Any) -> Iterator[Any]:
         for number, ending in enumerate(super().run(task, calls)):
@@ -34,7 +34,7 @@ class Interrupting(Inline):
 
 @pytest.fixture
 def interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A study that was begun three hours ago, and stopped within its first generation."""
+    """Provide a study started three hours ago and stopped in its first generation."""
 
     class Earlier(datetime):
         @classmethod
@@ -48,7 +48,7 @@ def interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_an_interrupted_study_ran_until_it_wrote_last(interrupted: Path) -> None:
+def test_interrupted_study_ends_at_last_record(interrupted: Path) -> None:
     assert study_results(interrupted).wall_s == pytest.approx(HOURS * 3600, abs=60)
     an_hour_ago = (datetime.now(UTC) - timedelta(hours=1)).timestamp()
     os.utime(StudyLayout(interrupted).journal, (an_hour_ago, an_hour_ago))
@@ -68,9 +68,7 @@ def test_a_running_study_runs_until_now(
     assert "3 of 12 candidates of the next" in said
 
 
-def test_a_study_that_is_being_prepared_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_status_of_study_in_preparation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study = Study(small_spec(), tmp_path / "demo", tasks=TASKS)  # type: ignore[arg-type]
     with study.folder.open() as journal:
         study.folder.begin(journal)

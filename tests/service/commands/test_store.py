@@ -1,4 +1,4 @@
-"""`palpate store`: damage is found and mended, garbage goes, studies move."""
+"""`palpate store`: checks and repairs, garbage collection, moving studies."""
 
 import json
 import os
@@ -26,7 +26,7 @@ Call = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
-    """A finished study, whose evaluations have fields and whose bodies are stored."""
+    """Provide a completed study with stored fields and bodies."""
     folder = tmp_path / "runs" / "demo"
     run(folder, Inline())
     store = open_store(tmp_path / "runs" / "store")
@@ -48,7 +48,7 @@ def store_of(folder: Path) -> Store:
     return open_store(folder.parent / "store")
 
 
-def test_damage_is_named_set_aside_and_made_again(call: Call, study: Path) -> None:
+def test_damage_is_reported_set_aside_and_recreated(call: Call, study: Path) -> None:
     store = store_of(study)
     assert call("store", "check")[0] == 0
     done = (ending[2] for ending in told(study).values() if ending[3] == "done")
@@ -71,7 +71,7 @@ def test_damage_is_named_set_aside_and_made_again(call: Call, study: Path) -> No
     found = json.loads(out)
     assert len(found["damaged"]) == 4
     assert len(list(Path(found["set_aside"], "evaluations").iterdir())) == 3
-    # A record without its field is set aside, too: all three are computed again.
+    # A record without its field is also set aside: all three are recomputed.
     before = len(executions(study))
     again = study.with_name("again")
     run(again, Inline())
@@ -79,7 +79,7 @@ def test_damage_is_named_set_aside_and_made_again(call: Call, study: Path) -> No
     assert set(executions(study)[before:]) == set(digests[:3])
 
 
-def test_garbage_is_what_no_study_needs_and_nobody_touched(call: Call, study: Path) -> None:
+def test_garbage_excludes_needed_and_recent_data(call: Call, study: Path) -> None:
     store = store_of(study)
     old = {
         "unneeded": store.layout.volume("unneeded"),
@@ -111,7 +111,7 @@ def test_garbage_is_what_no_study_needs_and_nobody_touched(call: Call, study: Pa
     assert (code, "There is no study in nowhere" in err) == (2, True)
 
 
-def test_a_study_moves_and_goes_on_elsewhere(
+def test_exported_study_continues_elsewhere(
     call: Call, study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code, out, _ = call("store", "export", "demo", "--out", "demo.tar")
@@ -130,7 +130,7 @@ def test_a_study_moves_and_goes_on_elsewhere(
     assert call("store", "check")[0] == 0
     assert json.loads(call("status", "demo", "--json")[1])["store"] == str(moved.parent / "store")
     again = moved.with_name("again")
-    run(again, Inline())  # the evaluations came along: none is computed again
+    run(again, Inline())  # the evaluations are in the archive: none is recomputed
     assert not set(executions(again)) & {ending[2] for ending in endings.values()}
     assert told(again) == endings
     assert len(ran) > 0
@@ -141,7 +141,7 @@ def test_a_study_moves_and_goes_on_elsewhere(
 @pytest.mark.parametrize(
     "name", ["../evil", "/tmp/evil", "study/../../evil", "store/volumes/../../evil", "study/x.py"]
 )
-def test_an_archive_that_leads_elsewhere_is_refused(study: Path, tmp_path: Path, name: str) -> None:
+def test_rejects_archive_with_outside_paths(study: Path, tmp_path: Path, name: str) -> None:
     archive = tmp_path / "demo.tar"
     export_study(study, archive)
     with tarfile.open(archive, "a") as tar:
@@ -158,7 +158,7 @@ def _renamed(member: tarfile.TarInfo, name: str) -> tarfile.TarInfo:
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "link", "no tar", "no manifest"])
-def test_a_damaged_archive_is_refused(study: Path, tmp_path: Path, damage: str) -> None:
+def test_rejects_damaged_archive(study: Path, tmp_path: Path, damage: str) -> None:
     archive = tmp_path / "demo.tar"
     export_study(study, archive)
     data = archive.read_bytes()

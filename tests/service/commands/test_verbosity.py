@@ -1,4 +1,4 @@
-"""How much is said beside a result: -q, -v and --log-level."""
+"""Verbosity options: -q, -v and --log-level."""
 
 import logging
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ def restored_logger() -> Iterator[None]:
         (["-v", "--log-level", "error"], []),
     ],
 )
-def test_log_messages_are_shown_from_a_level_on(
+def test_shows_log_messages_from_level(
     call: Call, capsys: pytest.CaptureFixture[str], options: list[str], levels: list[str]
 ) -> None:
     assert call(*options, "parameters", "--json")[0] == 0

@@ -1,4 +1,4 @@
-"""Plans made by hand."""
+"""Hand-made plans."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ from palpate.workers.diagnosis.schema.plan import FurtherMeasurement, PlanSummar
 
 
 def option(name: str, **changes: Any) -> FurtherMeasurement:
-    """A further measurement of a plan."""
+    """Return a further measurement of a plan."""
     nothing: dict[str, Any] = {
         "told_apart": 0,
         "more_told_apart": 0,
@@ -22,7 +22,7 @@ def option(name: str, **changes: Any) -> FurtherMeasurement:
 
 
 def plan_of(*options: FurtherMeasurement) -> PlanSummary:
-    """A plan of nothing but further measurements."""
+    """Return a plan with only further measurements."""
     return PlanSummary(
         case="by-hand",
         scans=(),

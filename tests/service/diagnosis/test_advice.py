@@ -1,4 +1,4 @@
-"""What to measure next: ranked by hand, and from a small cluster by the command."""
+"""Advice on further measurements: ranking, and the command on a small cluster."""
 
 import json
 import re
@@ -43,17 +43,17 @@ def test_measurements_that_separate_suspects_rank_first() -> None:
     assert found[0].separates == (("fibre_fan", "plate_tilt"),)
     assert found[1].reveals == ("plate_force",)
     assert worth(found[0]) == (
-        "tells fibre fan from plate tilt; the smallest magnitudes found become 0.90 times as large"
+        "distinguishes fibre fan from plate tilt; detection limits become 0.90 times as large"
     )
-    assert worth(found[1]).startswith("brings plate force to light")
-    assert worth(found[2]) == "the smallest magnitudes found become 0.90 times as large"
+    assert worth(found[1]).startswith("reveals plate force")
+    assert worth(found[2]) == "detection limits become 0.90 times as large"
     assert undecided(TOLD)
     assert not undecided(replace(TOLD, verdict="effect"))
 
 
 @pytest.fixture(scope="module", autouse=True)
 def few_suspects() -> Iterator[None]:
-    """The diagnosis suspects two effects; the plan has the whole catalogue."""
+    """The diagnosis has two suspected effects, the plan the whole catalogue."""
 
     def few(source: Any, store: Any, nodes: int) -> Any:
         return request_for(source, store, nodes, effects=("plate_tilt", "fibre_fan"))
@@ -65,7 +65,7 @@ def few_suspects() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a case that was diagnosed and planned by one worker."""
+    """Provide a folder with a case diagnosed and planned by one worker."""
     folder = tmp_path_factory.mktemp("advice")
     write_case(folder / "small", {})
     assert main([*command(folder), "--plan", "--workers", "1"]) == 0
@@ -78,7 +78,7 @@ def command(folder: Path) -> list[str]:
 
 
 def without_made(page: str) -> str:
-    """Return a page without when and how fast it was made."""
+    """Return a page without its date and run time."""
     return re.sub(r"<dt>(Date|Run time)</dt><dd>.*?</dd>", "", page)
 
 
@@ -110,7 +110,7 @@ def test_no_advice_without_a_plan(
     assert "next_acquisitions" not in json.loads(capsys.readouterr().out)
 
 
-def test_the_bench_has_no_plan(
+def test_bench_experiment_has_no_plan(
     tmp_path: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "beam.yaml").write_text("organ: specimen\n")
@@ -130,5 +130,5 @@ def test_a_failed_plan_keeps_the_diagnosis(
     monkeypatch.setattr("palpate.service.commands.diagnoses.diagnosing.planned", fail)
     assert main([*command(runs), "--plan", "--json"]) == 0
     said = capsys.readouterr()
-    assert "No further measurement could be tried. The nominal model" in said.err
+    assert "Further measurements could not be tried. The nominal model" in said.err
     assert json.loads(said.out)["verdict"] == "no-gap"

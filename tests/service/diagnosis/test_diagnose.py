@@ -1,4 +1,4 @@
-"""Diagnoses of small scans that our own solver made: checks, tasks, clusters, the command."""
+"""Diagnoses of small simulated scans: checks, tasks, clusters, the command."""
 
 import json
 import shutil
@@ -47,13 +47,13 @@ Change = Callable[[Path], object]
 
 @pytest.fixture(scope="module")
 def tilted(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Scans between plates of which one is tilted."""
+    """Provide scans with one tilted plate."""
     return write_case(tmp_path_factory.mktemp("cases") / "tilted", {"tilt_depth": TILT_DEG})
 
 
 @pytest.fixture(scope="module")
 def one_worker() -> Iterator[Dispatcher]:
-    """A cluster of one process."""
+    """Provide a cluster of one process."""
     with open_cluster(workers=1) as cluster:
         yield Dispatcher(cluster.client)
 
@@ -62,7 +62,7 @@ def one_worker() -> Iterator[Dispatcher]:
 def diagnosed(
     tilted: Path, one_worker: Dispatcher, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[DiagnosisRequest, FinishedDiagnosis]:
-    """The diagnosis of one worker."""
+    """Provide the diagnosis by one worker."""
     request = asked(tilted, tmp_path_factory.mktemp("one") / "store")
     return request, run(request, one_worker)
 
@@ -71,10 +71,10 @@ def asked(folder: Path, store: Path) -> DiagnosisRequest:
     return request_for(folder, store, NODES, SPACING_MM, SUSPECTS)
 
 
-# What is found
+# Findings
 
 
-def test_the_tilt_and_the_constants_are_found(
+def test_finds_tilt_and_constants(
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
 ) -> None:
     summary, accused = diagnosed[1].summary, ("plate_tilt",)
@@ -113,7 +113,7 @@ def test_tasks_and_one_process_agree(
     told = {k: v for k, v in stored.items() if k not in ("overlap", "cause_map")}
     # Tangents are solved to a relative error of 1e-4, from other starts than here. Which columns a
     # low rank keeps of the smooth field hangs on the last digits of the normals: a tenth of a nat.
-    # Ends of intervals are order statistics of 400 draws, which are shared out among hypotheses by
+    # Ends of intervals are order statistics of 400 draws, which are allotted to hypotheses by
     # rounding their weights: one draw more or less moves an end by some thousandths.
     assert flat(told).keys() == flat(expected).keys()
     for key, value in flat(expected).items():
@@ -125,7 +125,7 @@ def test_tasks_and_one_process_agree(
 
 
 def flat(value: Any, at: str = "") -> dict[str, Any]:
-    """Every leaf of a record by its path."""
+    """Yield every leaf of a record with its path."""
     if isinstance(value, dict):
         return {k: v for name in value for k, v in flat(value[name], f"{at}/{name}").items()}
     if isinstance(value, list | tuple):
@@ -135,7 +135,7 @@ def flat(value: Any, at: str = "") -> dict[str, Any]:
 
 def test_maps_belong_to_the_points(diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis]) -> None:
     request, found = diagnosed
-    # A plate tilted by 8 degrees moves the body far from where its noise was read first.
+    # A plate tilted by 8 degrees moves the body far from where its noise was first estimated.
     store = DiagnosisStore(request, ["plate_tilt"])
     maps, inverse = found.maps, store.inverse
     assert found.scans == ("8 N", "20 N")
@@ -164,14 +164,14 @@ def test_bodies_overlap_better_with_the_effect(
         assert row.after.mhd_mm < row.before.mhd_mm
 
 
-# Workers, interruptions, and what is not computed again
+# Workers, interruptions, and reuse of results
 
 
 @pytest.fixture(scope="module")
 def by_two_workers(
     tilted: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, DiagnosisRequest, FinishedDiagnosis]:
-    """The diagnosis of two workers; the folder of the case is gone before the first task."""
+    """The folder of the case is removed before the first task of two workers."""
     place = tmp_path_factory.mktemp("two")
     folder = place / "case"
     shutil.copytree(tilted, folder)
@@ -245,7 +245,7 @@ def test_an_interrupted_diagnosis_resumes(
 
 
 def test_scans_are_prepared_once_for_all_processes(tilted: Path, tmp_path: Path) -> None:
-    """But only where the store has no calibration yet."""
+    """Preparation is shared only if the store has no calibration yet."""
 
     def until_effects(step: Step) -> None:
         if step.phase == "effects":
@@ -306,7 +306,7 @@ def test_hypotheses_are_weighed_once(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """However often the store lacks a joint fit."""
+    """Even if the store lacks several joint fits."""
     store = tmp_path / "store"
     shutil.copytree(diagnosed[0].store, store)
     request = asked(tilted, store)
@@ -343,7 +343,7 @@ def test_name_depends_on_scans_and_request(tilted: Path, tmp_path: Path) -> None
     assert request_for(folder, store, NODES, SPACING_MM, SUSPECTS[1:]).name != first.name
     shutil.copy(folder / SCANS[2], folder / SCANS[1])
     assert asked(folder, store).name != first.name
-    # What was asked before is in the store by content, whatever has become of the files.
+    # Earlier results are in the store by content, even if the files have changed.
     assert DiagnosisStore(first).source.scans == ["8 N", "20 N"]
 
 
@@ -374,7 +374,7 @@ def copied(tilted: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(tilted, tmp_path / "case"))
 
 
-def test_the_command_refuses_before_it_opens_a_cluster(
+def test_command_rejects_input_before_opening_cluster(
     copied: Path, no_cluster: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     loads_exchanged(copied)
@@ -401,7 +401,7 @@ def test_the_command_writes_page_and_record(
     assert said.out.startswith("Model and data differ by ")
     assert "The cause is plate tilt" in said.out
     assert said.err.startswith("Understood:")
-    assert "finding the nominal constants" in said.err
+    assert "fitting the nominal constants" in said.err
     written = tmp_path / "runs" / "tilted"
     assert f"page: {Path('runs/tilted/diagnosis.html')}" in said.out
     record = json.loads((written / "diagnosis.json").read_text())

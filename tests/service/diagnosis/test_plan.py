@@ -1,4 +1,4 @@
-"""`palpate plan`: a case without loaded scans on a small cluster, its record, words and page."""
+"""`palpate plan` for a case without loaded scans: record, texts and page."""
 
 import json
 from dataclasses import replace
@@ -32,7 +32,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def planned(runs: Path) -> PlanSummary:
-    """The plan, computed once by one worker process."""
+    """Provide the plan, computed once by one worker process."""
     out = str(runs / "page.html")
     command = ["plan", str(runs / "meant"), "--nodes", "600", "--workers", "1", "--out", out]
     assert main([*command, "--store", str(runs / "store"), "--json"]) == 0
@@ -102,12 +102,12 @@ def test_the_console_names_effects_and_measurements(
     said = capsys.readouterr().out
     assert said.startswith("One scan (12 N) can find ")
     assert "plate force" in said
-    assert "hides in the constants" in said
+    assert "absorbed by the constants" in said
     assert record["acquisitions"][0]["name"] in said
     assert f"page: {runs / 'page.html'}" in said
 
 
-def test_the_page_shows_all_of_it(planned: PlanSummary, record: Json) -> None:
+def test_page_shows_complete_plan(planned: PlanSummary, record: Json) -> None:
     page = Page(render(planned))
     assert words.headline(planned) in page.text
     for effect in record["effects"]:
@@ -141,7 +141,8 @@ def test_words_for_invisible_and_similar_effects() -> None:
         confusable=(ConfusablePair(("plate_tilt", "plate_flex"), 1.234),),
     )
     assert words.silence(told) == (
-        "Neither accused nor acquitted: plate force (hidden in the constants); creep (too weak)."
+        "Neither confirmed nor ruled out: plate force (absorbed by the constants); creep "
+        "(too weak)."
     )
     assert words.confusions(told).endswith("plate tilt or plate flex (1.2).")
     assert words.silence(replace(told, effects=told.effects[2:])) == ""

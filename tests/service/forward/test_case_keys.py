@@ -1,4 +1,4 @@
-"""Keys without their sections mean what a study file says."""
+"""Flat keys are equivalent to a study file."""
 
 import doctest
 
@@ -12,7 +12,7 @@ from palpate.storage.errors import InputError
 PHANTOM = {"spacing_mm": 2.0}
 
 
-def test_the_examples_are_true() -> None:
+def test_docstring_examples() -> None:
     for module in (case_keys, gradient):
         assert doctest.testmod(module).attempted
         assert doctest.testmod(module).failed == 0
@@ -26,7 +26,7 @@ def test_the_examples_are_true() -> None:
         {"phantom": PHANTOM, "load": {"force_n": 30}, "oblique_deg": 45, "E_skin_kpa": 900},
     ],
 )
-def test_a_file_would_say_the_same(keys: dict[str, object]) -> None:
+def test_keys_give_same_case_as_file(keys: dict[str, object]) -> None:
     case = case_from_keys("breast", keys)
     study = study_of("breast").model_validate(
         {
@@ -39,7 +39,7 @@ def test_a_file_would_say_the_same(keys: dict[str, object]) -> None:
     assert study.case == case
 
 
-def test_no_key_of_a_breast_or_a_cornea_has_two_homes() -> None:
+def test_keys_belong_to_one_section() -> None:
     from palpate.service.forward.case_keys import _sections
     from palpate.workers.organs.registry import organ_spec
 
@@ -47,7 +47,7 @@ def test_no_key_of_a_breast_or_a_cornea_has_two_homes() -> None:
         spec = organ_spec(organ)
         keys = [key for door in _sections(spec.case).values() for key in door.model_fields]
         assert len(keys) == len(set(keys))
-        # The pressure of the eye is a key of the load and a constant: both mean the same.
+        # The intraocular pressure is a key of the load and a constant with the same meaning.
         assert set(keys) & set(spec.parameters.door_names) <= {"iop_mmhg"}
 
 

@@ -1,4 +1,4 @@
-"""Diagnoses made by hand, one for each verdict: four points, two scans, three effects."""
+"""Hand-made diagnoses, one for each verdict: four points, two scans, three effects."""
 
 from typing import Any
 
@@ -73,7 +73,7 @@ WHERE = [
 
 
 def summary(**changes: Any) -> Json:
-    """A tilted plate."""
+    """Return the summary of a tilted plate."""
     held = {
         "before": gap(0.314, 0.269, 0.353),
         "after": gap(0.0, 0.0, 0.154),
@@ -151,7 +151,7 @@ def summary(**changes: Any) -> Json:
 
 
 def nothing(kind: str, **changes: Any) -> Json:
-    """A verdict that accuses no effect."""
+    """Return a summary that accuses no effect."""
     alone = {
         "before": gap(0.03, 0.0, 0.11),
         "noise_floor": 0.4367,
@@ -175,7 +175,7 @@ def nothing(kind: str, **changes: Any) -> Json:
 
 
 def typed(told: Json) -> Summary:
-    """A summary from what its JSON says."""
+    """Return a summary from its JSON."""
     return from_json(Summary, told)
 
 

@@ -21,15 +21,15 @@ from tests.service.report.diagnosis_at_hand import summary, typed
 
 SCANS = ("40 N", "40 N along x")
 HALF_AXES_MM = np.array([24.0, 16.0, 14.0])
-# Of the egg between the plates.
+# Constants of the egg between the plates.
 PRESSED_MM = (np.array([27.0, 12.0, 15.0]), np.array([18.0, 20.0, 15.0]))
-# The nominal model is pressed too little.
+# The nominal model is compressed too little.
 NOMINAL_MM = (np.array([26.0, 13.5, 15.0]), np.array([19.5, 19.0, 15.0]))
 LUMP_MM = (8.0, -4.0, 2.0)
 
 
 def egg(half_axes_mm: FloatArray) -> Volume:
-    """Fat with a gland in its middle, voxels of 1.5 mm, all on one lattice."""
+    """Return fat with a gland in its middle, in voxels of 1.5 mm on one lattice."""
     z, y, x = (a * 1.5 for a in np.mgrid[-12:13, -15:16, -20:21])
     a, b, c = half_axes_mm
     r = np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)
@@ -38,7 +38,7 @@ def egg(half_axes_mm: FloatArray) -> Volume:
 
 
 def found(accused: bool = True, **changes: Any) -> FinishedDiagnosis:
-    """The egg; `changes` go into the summary."""
+    """Return the egg's diagnosis; `changes` are applied to its summary."""
     reference = egg(HALF_AXES_MM)
     points = interface_points(reference, (OUTLINE, GLANDULAR), 5.0, 2.0)
     k = len(points)

@@ -1,4 +1,4 @@
-"""Reads a page as a browser would have to, without forgiving anything."""
+"""A strict reader of HTML pages."""
 
 import re
 from html.parser import HTMLParser
@@ -8,7 +8,7 @@ VOID = {"meta", "img", "br", "link", "input", "hr"}
 
 
 class Page(HTMLParser):
-    """The text, the tags and the pictures of a page; refuses tags that do not match."""
+    """Text, tags and pictures of a page; mismatched tags are an error."""
 
     def __init__(self, source: str) -> None:
         super().__init__(convert_charrefs=True)
@@ -53,22 +53,22 @@ class Page(HTMLParser):
 
     @property
     def text(self) -> str:
-        """What a reader can read, with single spaces."""
+        """Return the visible text with single spaces."""
         return " ".join("".join(self.pieces).split())
 
     def row(self, first: str) -> list[str]:
-        """The table row that begins so."""
+        """Return the table row that starts with a text."""
         (found,) = [row for row in self.cells if row and row[0].strip() == first]
         return [" ".join(cell.split()) for cell in found]
 
     def drawings(self) -> list[ElementTree.Element]:
-        """Every picture, parsed; of charts that are drawn twice, the wide one."""
+        """Return every picture, parsed; of charts drawn twice, the wide one."""
         texts = re.findall(r"<svg .*?</svg>", self.source, flags=re.DOTALL)
         parsed = [ElementTree.fromstring(text) for text in texts]
         return [one for one in parsed if "narrow" not in one.get("class", "").split()]
 
     def needs_no_other_file(self) -> None:
-        """Refuse addresses outside of the page, and names that are not its own."""
+        """Check that all addresses and names are inside the page."""
         assert all(address.startswith(("data:", "#")) for address in self.addresses)
         inner = {address[1:] for address in self.addresses if address.startswith("#")}
         assert inner <= set(self.ids)

@@ -1,4 +1,4 @@
-"""Study data made by hand: two parameters, five evaluations, two of them failures."""
+"""Hand-made study data: two parameters, five evaluations, two of them failures."""
 
 import math
 from dataclasses import replace
@@ -58,7 +58,7 @@ ENDINGS = (
 
 
 def ball(radius: float, shift: int = 0) -> Volume:
-    """Fat with a glandular core, on a lattice of 2 mm."""
+    """Return fat with a glandular core, on a lattice of 2 mm."""
     z, y, x = np.mgrid[-8:9, -10:11, -12:13]
     r = np.hypot(np.hypot(z, y), x - shift)
     values = np.where(r < 8, 1, 0)
@@ -142,7 +142,7 @@ def study_data(**changed: Any) -> StudyData:
 
 
 def nothing_yet() -> StudyData:
-    """Return a study whose first evaluation has not ended."""
+    """Return a study before the end of its first evaluation."""
     without = {
         name: replace(estimate, estimate=None) for name, estimate in results().estimates.items()
     }
@@ -162,7 +162,7 @@ def nothing_yet() -> StudyData:
 
 
 def perfect() -> StudyData:
-    """Return a study whose best candidate is the target; a generation has failed before."""
+    """Return a study with the target as best candidate, after a failed generation."""
     best = record(0, (10.12, 93.0), score=SCORE | {"jc": 1.0, "mhd_mm": 0.0, "gsf": -math.inf})
     changed = results(
         best=best,

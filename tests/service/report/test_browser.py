@@ -1,4 +1,4 @@
-"""Both pages in a real browser: sliders, turning, keys, light and dark, wide and narrow."""
+"""Report pages in a real browser: sliders, rotation, keys, colour schemes and widths."""
 
 import csv
 import shutil
@@ -29,20 +29,20 @@ CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")
 
 WIDE, NARROW = 1400, 480
-# The page is written to a file: all else that it asks for would be a request.
+# The page is read from a file, so any other access would be a request.
 OWN = ("file:", "data:", "blob:")
 
 
 @dataclass
 class Shown:
-    """A page in a browser, and what it has complained of or asked for."""
+    """A page in a browser, with its errors and requests."""
 
     page: Any
     problems: list[str] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
 
     def asks(self, address: str) -> None:
-        """Note an address that is not part of the page."""
+        """Record an address outside the page."""
         if not address.startswith(OWN):
             self.requests.append(address)
 
@@ -51,12 +51,12 @@ class Shown:
         return str(self.page.eval_on_selector(selector, "c => c.toDataURL()"))
 
     def data(self, viewer: str, name: str) -> float:
-        """Return a number that a viewer says of itself."""
+        """Return a number from a viewer's attributes."""
         root = self.page.locator(f'[data-viewer="{viewer}"]')
         return float(root.get_attribute(f"data-{name}"))
 
     def settled(self) -> None:
-        """Wait until what was asked for is drawn."""
+        """Wait until the drawing is up to date."""
         self.page.evaluate("() => new Promise(r => requestAnimationFrame(() => setTimeout(r, 30)))")
 
 
@@ -80,7 +80,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def study() -> Any:
-    """The study at hand, with its body in three dimensions."""
+    """Provide the hand-made study with a three-dimensional body."""
     surfaces = []
     for interface in (OUTLINE, GLANDULAR):
         assert BODIES.target is not None
@@ -95,7 +95,7 @@ def study() -> Any:
 
 
 def diagnosis() -> str:
-    """The egg between plates, with where its points go."""
+    """Provide the egg between plates, with displacements of its points."""
     told = found()
     points = told.maps["points"]
     for when, ends in (("before", NOMINAL_MM), ("after", PRESSED_MM)):
@@ -120,7 +120,7 @@ def shown(browser: Any, path: Path, width: int = WIDE, **options: Any) -> Shown:
 
 @pytest.mark.parametrize("which", ["study", "diagnosis"])
 @pytest.mark.parametrize(("width", "scheme"), [(WIDE, "dark"), (NARROW, "light")])
-def test_nothing_is_asked_for_nothing_fails_nothing_is_cut(
+def test_page_has_no_requests_errors_or_clipping(
     browser: Any, pages: dict[str, Path], which: str, width: int, scheme: str
 ) -> None:
     told = shown(browser, pages[which], width, color_scheme=scheme)
@@ -164,7 +164,7 @@ def test_the_slider_moves_the_slice_and_keys_do_too(
 
 
 def test_a_slice_shows_the_labels_of_its_plane(browser: Any, pages: dict[str, Path]) -> None:
-    """The middle of the target is gland; what is read there is what the volume holds."""
+    """The middle of the target is gland; the readout agrees with the volume."""
     told = shown(browser, pages["study"])
     panel = told.page.locator('[data-viewer="slices"] canvas').nth(1)
     panel.scroll_into_view_if_needed()
@@ -188,7 +188,7 @@ def test_slices_show_plates_a_scale_and_the_outline_of_the_target(
         for k in range(panels.count())
     ]
     assert counts == [[0, 0], [1, 0], [1, 1], [1, 0]]
-    # The body fills 15 rows; lines are a little off it.
+    # The body fills 15 rows; lines are slightly outside.
     lines = panels.nth(1).locator("path.plate").get_attribute("d")
     low, high = (float(line.split("L")[0].split()[1]) for line in lines.split("M")[1:])
     assert 15 < low - high < 15.5
@@ -287,9 +287,7 @@ def test_colours_and_shapes_of_the_body_are_switched(browser: Any, pages: dict[s
     told.page.close()
 
 
-def test_charts_say_which_candidate_is_under_the_pointer(
-    browser: Any, pages: dict[str, Path]
-) -> None:
+def test_charts_show_candidate_under_pointer(browser: Any, pages: dict[str, Path]) -> None:
     told = shown(browser, pages["study"])
     chart = told.page.locator('svg.wide[data-chart="evaluations"]')
     chart.scroll_into_view_if_needed()
@@ -314,7 +312,7 @@ def test_charts_say_which_candidate_is_under_the_pointer(
 
 
 def saved(told: Shown, figure: Any, kind: str) -> Path:
-    """Press a button of a chart and return the file that it saves."""
+    """Press a button of a chart and return the saved file."""
     with told.page.expect_download() as download:
         figure.get_by_role("button", name=f"Save this chart as {kind}").click()
     return Path(download.value.path())

@@ -1,4 +1,4 @@
-"""The page of a study while it runs: always new, and never at the search's cost."""
+"""The live page of a running study: up to date, at a limited cost."""
 
 import time
 from pathlib import Path
@@ -17,7 +17,7 @@ ANY: Any = SimpleNamespace()
 
 @pytest.fixture
 def written(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Times at which a page was written; each takes 20 ms of computing."""
+    """A live page that records its times; each page takes 20 ms of computing."""
     times: list[float] = []
 
     def slowly(data: Any) -> str:
@@ -39,9 +39,7 @@ def _until(reached: Any, seconds: float = 20.0) -> None:
         time.sleep(0.01)
 
 
-def test_a_page_is_there_before_the_first_generation_ends(
-    tmp_path: Path, written: list[float]
-) -> None:
+def test_writes_page_before_first_generation_ends(tmp_path: Path, written: list[float]) -> None:
     with LivePage(tmp_path) as page:
         page.started(ANY)
         page.prepared("case", ANY)
@@ -52,9 +50,7 @@ def test_a_page_is_there_before_the_first_generation_ends(
     assert page.path.read_text() == "<p>page</p>"
 
 
-def test_generations_that_follow_each_other_fast_do_not_cost_more_than_their_share(
-    tmp_path: Path, written: list[float]
-) -> None:
+def test_fast_generations_stay_within_time_share(tmp_path: Path, written: list[float]) -> None:
     """Two hundred generations in about a second: pages of 20 ms each may take a fifth of it."""
     with LivePage(tmp_path, share=0.2) as page:
         began = time.monotonic()
@@ -68,7 +64,7 @@ def test_generations_that_follow_each_other_fast_do_not_cost_more_than_their_sha
     assert len(written) == page.pages
 
 
-def test_slow_generations_all_have_their_page(tmp_path: Path, written: list[float]) -> None:
+def test_every_slow_generation_updates_page(tmp_path: Path, written: list[float]) -> None:
     with LivePage(tmp_path, share=0.9) as page:
         page.started(ANY)
         for number in range(4):
@@ -85,7 +81,7 @@ def test_the_end_of_the_run_does_not_wait_for_a_page(tmp_path: Path, written: li
         page.generation_ended(1, ANY)
         time.sleep(0.05)
         page.generation_ended(2, ANY)
-        _until(lambda: page.pages == 2)  # the first is not counted, so there is one more
+        _until(lambda: page.pages == 2)  # one more, because the first does not count
         page.generation_ended(3, ANY)
         began = time.monotonic()
     assert time.monotonic() - began < 2.0

@@ -1,4 +1,4 @@
-"""The page of evidence made by hand: well formed, self-contained, and it leaves nothing out."""
+"""The page of a hand-made study: well formed, self-contained and complete."""
 
 import json
 from collections.abc import Callable
@@ -34,21 +34,21 @@ def page(source: str) -> Page:
 
 
 @pytest.mark.parametrize("made", CASES.values(), ids=CASES)
-def test_a_page_is_well_formed_and_needs_no_other_file(made: Callable[[], StudyData]) -> None:
+def test_page_is_well_formed_and_self_contained(made: Callable[[], StudyData]) -> None:
     source = render(made())
     page = Page(source)
     assert source.startswith("<!DOCTYPE html>")
     page.needs_no_other_file()
 
 
-def test_same_evidence_same_bytes(source: str) -> None:
+def test_page_is_reproducible(source: str) -> None:
     assert render(study_data()) == source
 
 
 def test_the_verdict_is_a_sentence_with_signed_errors(page: Page) -> None:
     assert "Efat 10.1 kPa, +1.2 % from the target; ηfat 93 kPa." in page.text
     assert "share 89.0 % of the volume that they fill together" in page.text
-    assert "their surfaces lie 0.396 mm (0.2 voxels) apart" in page.text
+    assert "their surfaces are 0.396 mm (0.2 voxels) apart" in page.text
     assert "The search has ended: all 2 generations are done." in page.text
 
 
@@ -62,7 +62,7 @@ def test_every_number_of_the_results_is_in_the_page(page: Page) -> None:
     assert json.JSONDecoder().raw_decode(page.text, begin)[0] == study_json(results())
 
 
-def test_similarity_shows_where_the_fit_began(page: Page) -> None:
+def test_similarity_includes_undeformed_body(page: Page) -> None:
     glandular = page.row("glandular")
     before, after = glandular[1].split(" → ")
     assert 0.0 < float(before) < float(after) == 0.8904
@@ -95,14 +95,14 @@ def test_time_counts_and_throughput(page: Page) -> None:
         "Evaluations diverged1",
         "Evaluations crashed1",
         "Evaluations lost0",
-        "Of these taken from the store1",
+        "Reused from the store1",
         "Throughput1.95 evaluations per min",  # 4 of 5 computed in 123 s
         "Evaluations at once3",
     ):
         assert said in page.text, said
 
 
-def test_what_the_best_simulation_says(page: Page) -> None:
+def test_shows_solver_output_of_best_simulation(page: Page) -> None:
     for said in (
         "Plate displacement37.66 mm",
         "Force on the plate40 N",
@@ -117,12 +117,12 @@ def test_what_the_best_simulation_says(page: Page) -> None:
         assert said.replace(" ", "") in page.text.replace("\u202f", "").replace(" ", ""), said
 
 
-def test_nothing_yet_is_said_in_words() -> None:
+def test_page_without_results() -> None:
     text = Page(render(nothing_yet())).text
-    assert "Nothing found yet" in text
+    assert "No estimates yet" in text
     assert "The search is still running" in text
     assert "No evaluation has a score yet" in text
-    assert "nothing was evaluated yet" in text
+    assert "nothing has been evaluated yet" in text
 
 
 def test_infinities_are_drawn_and_printed() -> None:
@@ -136,12 +136,12 @@ def test_infinities_are_drawn_and_printed() -> None:
     ("state", "said"),
     [("running", "still running"), ("interrupted", "Running it again continues it")],
 )
-def test_an_unfinished_search_says_so(state: str, said: str) -> None:
+def test_page_of_unfinished_search(state: str, said: str) -> None:
     unfinished = study_data(results=results(state=state, stop_reason=None), bodies=Bodies())
     assert said in Page(render(unfinished)).text
 
 
-def test_an_estimate_at_its_bound_is_pointed_out() -> None:
+def test_warns_about_estimate_at_bound() -> None:
     plain = study_data(bodies=Bodies())
     assert "lies at the edge" not in Page(render(plain)).text
     estimates = dict(plain.results.estimates)
@@ -151,7 +151,7 @@ def test_an_estimate_at_its_bound_is_pointed_out() -> None:
 
 
 @pytest.mark.parametrize("lost", ["reference", "target", "best"])
-def test_a_lost_volume_leaves_the_others(lost: str) -> None:
+def test_shows_other_volumes_if_one_is_lost(lost: str) -> None:
     kept = {name: getattr(BODIES, name) for name in ("reference", "target", "best")}
     bodies = Bodies(**(kept | {lost: None, "missing": (f"The {lost} is gone.",)}))
     page = Page(render(study_data(bodies=bodies)))

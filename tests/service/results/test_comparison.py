@@ -89,7 +89,7 @@ def test_labels_studies_of_one_name_by_their_folders(root: Path, tmp_path: Path)
     found = compare_studies([root / "fitted", tmp_path / "again"])
     assert [s.label for s in found.studies] == [str(root / "fitted"), str(tmp_path / "again")]
     assert found.settings == {}
-    assert "None: the study files are equal but for their names." in Page(render(found)).text
+    assert "None: the study files are identical except for their names." in Page(render(found)).text
 
 
 def test_rejects_studies_that_cannot_be_compared(root: Path, tmp_path: Path) -> None:

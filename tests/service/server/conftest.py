@@ -1,4 +1,4 @@
-"""One service for the tests of this room, with two workers and tasks that take no time."""
+"""A service shared by the tests of this folder, with two workers and trivial tasks."""
 
 import os
 from collections.abc import Iterator

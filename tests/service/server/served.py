@@ -1,4 +1,4 @@
-"""A service in a process of its own: FOLDER, then --scheduler ADDRESS or --workers N.
+"""A service as a separate process: FOLDER, then --scheduler ADDRESS or --workers N.
 
 A store that is not in FOLDER: --store=PLACE. Its tasks are the stand-ins of tests/recovery; those
 that store bodies, too, with --bodies; the real ones with --real. It writes its address to

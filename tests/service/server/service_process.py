@@ -1,4 +1,4 @@
-"""A service in a process of its own, started, killed and started again by the tests."""
+"""A service in a separate process that tests start, kill and restart."""
 
 import os
 import subprocess
@@ -70,7 +70,7 @@ class ServiceProcess:
 def running_service(
     home: Path, where: list[str], *more: str, threads: int = 0
 ) -> Iterator[ServiceProcess]:
-    """Start a service that has so many threads of workers, and see that it ends as it should."""
+    """Start a service with a number of worker threads, and check that it ends cleanly."""
     served = ServiceProcess(home, where, 0, *more).start()
     until = time.monotonic() + 120
     try:

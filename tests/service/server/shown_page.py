@@ -1,4 +1,4 @@
-"""The page of a service in a browser, as the tests look at it and press its buttons."""
+"""The page of a service in a browser, operated by the tests."""
 
 import re
 import time
@@ -10,7 +10,7 @@ PATIENCE_MS = 60_000
 
 @dataclass
 class Shown:
-    """The page in a browser, and what it has complained of or asked for elsewhere."""
+    """The page in a browser, with its errors and outside requests."""
 
     page: Any
     url: str
@@ -23,17 +23,17 @@ class Shown:
         self.page.wait_for_selector(f"h1:has-text('{job or 'Studies and diagnoses'}')")
 
     def state(self, state: str) -> None:
-        """Wait until the job is in that state."""
+        """Wait until the job has a state."""
         self.page.wait_for_selector(f"header .badge.{state}", timeout=PATIENCE_MS)
 
     def drawn(self) -> int:
-        """Return how many evaluations the chart of the scores shows."""
+        """Return the number of evaluations in the chart of scores."""
         return int(self.page.get_attribute("canvas[data-chart=convergence]", "data-drawn") or 0)
 
     def wait_drawn(self, count: int) -> None:
-        """Wait until it shows so many."""
+        """Wait until the chart shows a number of evaluations."""
         until = time.monotonic() + PATIENCE_MS / 1000
-        while self.drawn() < count:  # wait_for_function evaluates a text, which the page forbids
+        while self.drawn() < count:  # wait_for_function evaluates a string, which the page forbids
             assert time.monotonic() < until, f"{self.drawn()} of {count} are drawn"
             self.page.wait_for_timeout(50)
 
@@ -42,11 +42,11 @@ class Shown:
         self.page.click(f"[data-action={action}]")
 
     def show_the_best(self) -> None:
-        """Wait until the viewers show the best candidate, asking for it where that is offered."""
+        """Wait until the viewers show the best candidate, requesting it if offered."""
         best = self.page.inner_text("#convergence button").strip()
         assert best == "open the best candidate"
-        offer = self.page.locator("#bodies button:has-text('which is better')")
-        until = time.monotonic() + 4 * PATIENCE_MS / 1000  # a process starts for it, maybe two
+        offer = self.page.locator("#bodies button:has-text('now the best')")
+        until = time.monotonic() + 4 * PATIENCE_MS / 1000  # it starts one or two processes
         while not re.match(r"Candidate \d+", self.page.inner_text("#bodies .note")) or (
             offer.is_visible()
         ):
@@ -57,5 +57,5 @@ class Shown:
         self.page.wait_for_selector('[data-viewer="body"] canvas.body')
 
     def settled(self) -> None:
-        """Wait until what was asked for is drawn."""
+        """Wait until the drawing is up to date."""
         self.page.evaluate("() => new Promise(r => requestAnimationFrame(() => setTimeout(r, 30)))")

@@ -1,4 +1,4 @@
-"""The API as a script uses it: submit, follow, pause, resume, cancel, results, files."""
+"""The API from scripts: submit, follow, pause, resume, cancel, results, files."""
 
 import time
 from pathlib import Path
@@ -41,7 +41,7 @@ def test_a_study_over_http_equals_one_run_here(
     records = [event.record for event in events if event.kind == "record"]
     lines = (service.home / "calm" / "journal.jsonl").read_text().splitlines()
     assert records == [unseal(line)[0] for line in lines] == list(client.journal("calm"))
-    # A stream that is continued gives the rest, each record once.
+    # A continued stream gives the remaining records, each once.
     position = next(e.position for e in events if e.record.get("candidate") == 7)
     rest = [e.record for e in client.follow("calm", position) if e.kind == "record"]
     assert rest == records[-len(rest) :]
@@ -119,7 +119,7 @@ def test_the_urgent_study_gets_the_workers(service: ServiceProcess, client: Clie
         set_manners(store)
 
 
-def test_a_study_that_fails_says_why_and_can_be_resumed(
+def test_failed_study_has_reason_and_can_be_resumed(
     service: ServiceProcess, client: Client
 ) -> None:
     set_manners(service.home / "store", full_disk_above=0.012)
@@ -132,9 +132,7 @@ def test_a_study_that_fails_says_why_and_can_be_resumed(
     until(client, "full", "finished")
 
 
-def test_a_diagnosis_that_cannot_be_made_fails_with_one_message(
-    client: Client, tmp_path: Path
-) -> None:
+def test_impossible_diagnosis_fails_with_message(client: Client, tmp_path: Path) -> None:
     (tmp_path / "case.yaml").write_text("name: x\n")
     client.upload(tmp_path / "case.yaml", "empty-case")
     job = client.submit_diagnosis(upload="empty-case", nodes=500)
@@ -144,7 +142,7 @@ def test_a_diagnosis_that_cannot_be_made_fails_with_one_message(
         client.submit_diagnosis(upload="nix")
 
 
-def test_the_face_for_scripts(service: ServiceProcess, tmp_path: Path) -> None:
+def test_public_client_api(service: ServiceProcess, tmp_path: Path) -> None:
     with palpate.connect(service.url, TOKEN) as connected:
         file = tmp_path / "face.yaml"
         file.write_text(named("face"))
@@ -222,7 +220,7 @@ def _while_waiting(client: Client, identifier: str, folder: str) -> None:
         client.change(identifier, "resume")
 
 
-def test_the_api_is_described(service: ServiceProcess) -> None:
+def test_openapi_description(service: ServiceProcess) -> None:
     described: dict[str, Any] = httpx.get(service.url + "/api/v1/openapi.json").json()
     operations = [
         operation

@@ -1,6 +1,6 @@
-"""Everything dies: workers, also while they start, the scheduler once, the service twice.
+"""Random kills: workers, even while they start, the scheduler once, the service twice.
 
-With a store in a bucket its server is away for 10 s, too.
+With a store in a bucket, its server is also down for 10 s.
 
 300 evaluations through the real path, with tasks that take no time. Every evaluation ends
 exactly once, and the journal says the same as that of a calm run.
@@ -38,7 +38,7 @@ KILLS, WHILE_STARTING = 10, 3
 
 
 class Kept:
-    """Processes that are started again when they end, as an orchestrator does."""
+    """Processes that are restarted when they end, as by an orchestrator."""
 
     def __init__(self, folder: Path, workers: int) -> None:
         self.port = unused_port()
@@ -134,9 +134,9 @@ def test_every_evaluation_ends_exactly_once(
         assert set(ended.values()) == {1}
         for kind in ("identification", "end"):
             assert sum(r["kind"] == kind for r in records) == 1
-    # Nothing is orphaned: what was computed is journalled, and no process is left.
+    # Nothing is orphaned: all evaluations are journalled, and no process remains.
     finished = {ending[2] for name in STUDIES for ending in told(home / name).values()}
-    # Fits at the best candidate have records of their own, the same as in a calm run.
+    # Fits at the best candidate have their own records, as in an undisturbed run.
     fits = set(executed(tmp_path / "calm" / "store")) - finished
     assert len(fits) == 2 * len(STUDIES)
     assert set(executed(store)) - finished <= fits
@@ -160,7 +160,7 @@ def own_processes(folder: Path, address: str) -> list[list[str]]:
 
 
 def cut_off(objects: ObjectServer) -> None:
-    """Take the object store away; it comes back after 10 s, while the killing goes on."""
+    """Stop the object store for 10 s while the kills continue."""
     objects.stop()
     threading.Timer(10.0, objects.start).start()
 
@@ -168,14 +168,14 @@ def cut_off(objects: ObjectServer) -> None:
 def torment(
     cluster: Kept, service: ServiceProcess, home: Path, objects: ObjectServer | None
 ) -> None:
-    """Kill workers at random, the first while they start; everything else on the way."""
+    """Kill workers at random, the first while they start, and everything else in between."""
     chance = random.Random(3)
     on_the_way = {40: "service", 100: "scheduler", 180: "service"}
     if objects is not None:
         on_the_way[140] = "objects"
     kills, deadline = 0, time.monotonic() + 400
     while (kills < KILLS or on_the_way) and time.monotonic() < deadline:
-        # Often sooner than a worker takes to come up: those are killed while they start.
+        # Often shorter than the start of a worker, which is then killed while starting.
         time.sleep(chance.uniform(0.3, 1.8))
         ended = endings(home)
         if on_the_way and ended >= min(on_the_way):

@@ -1,4 +1,4 @@
-"""`palpate serve` and `palpate token` as they are typed."""
+"""`palpate serve` and `palpate token` on the command line."""
 
 import json
 import os
@@ -50,7 +50,7 @@ def test_serve_prints_a_token_once_and_ends_with_ctrl_c(tmp_path: Path) -> None:
                     service.client.submit_study("name: x")
                 with (
                     palpate.connect(service.client.url, "wrong") as stranger,
-                    pytest.raises(InputError, match="token is not known"),
+                    pytest.raises(InputError, match="token is not valid"),
                 ):
                     stranger.client.submit_study("name: x")
         process.send_signal(signal.SIGINT)
@@ -61,7 +61,7 @@ def test_serve_prints_a_token_once_and_ends_with_ctrl_c(tmp_path: Path) -> None:
     assert len(said[1]) == 1
 
 
-def test_a_port_that_is_taken_is_one_message(
+def test_port_in_use_gives_one_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

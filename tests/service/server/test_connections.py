@@ -1,4 +1,4 @@
-"""Connections that ask nothing, and clients that ask too much at once."""
+"""Idle connections, and limits on concurrent requests."""
 
 import asyncio
 import socket
@@ -25,7 +25,7 @@ class Hasty(Connection):
 
 
 async def echo(scope: Scope, receive: Receive, send: Send) -> None:
-    """Read the body, wait as long as the path says, and answer."""
+    """Read the body, wait for the time in the path, and answer."""
     more = True
     while more:
         message = await receive()
@@ -78,14 +78,14 @@ def closed_within(connection: socket.socket, seconds: float) -> bool:
     ],
     ids=["nothing", "half a header", "a letter", "half a body", "a second header"],
 )
-def test_connections_that_ask_nothing_are_closed(start: bytes) -> None:
+def test_closes_idle_connections(start: bytes) -> None:
     with served() as where, socket.create_connection(where) as connection:
         connection.sendall(start)
         answered = b"\r\n\r\n" in start and b"POST" not in start
         assert closed_within(connection, 7 if answered else 4)  # kept for 5 s after an answer
 
 
-def test_drops_of_a_header_give_no_more_time() -> None:
+def test_partial_header_does_not_extend_deadline() -> None:
     with served() as where, socket.create_connection(where) as connection:
         began = time.monotonic()
         with pytest.raises(ConnectionError):
@@ -95,7 +95,7 @@ def test_drops_of_a_header_give_no_more_time() -> None:
         assert time.monotonic() - began < 3
 
 
-def test_a_slow_body_that_comes_is_answered() -> None:
+def test_accepts_slow_body() -> None:
     with served() as where, socket.create_connection(where) as connection:
         connection.sendall(b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 6\r\n\r\n")
         for _ in range(6):
@@ -123,7 +123,7 @@ def test_running_requests_are_limited_and_waiting_connections_are_not() -> None:
         assert httpx.get(url).status_code == 200
 
 
-def test_one_that_has_waited_longest_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closes_longest_waiting_connection(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("palpate.service.server.http.connections.MOST_CONNECTIONS", 16)
     assert most_connections() == 16
     monkeypatch.setattr(Hasty, "header_s", 30.0)
@@ -136,7 +136,7 @@ def test_one_that_has_waited_longest_makes_room(monkeypatch: pytest.MonkeyPatch)
         assert not closed_within(waiting[-1], 0.2)
 
 
-def test_half_open_connections_stop_nobody(service: ServiceProcess) -> None:
+def test_half_open_connections_do_not_block_others(service: ServiceProcess) -> None:
     where = urlsplit(service.url)
     with ExitStack() as stack:
         for number in range(530):

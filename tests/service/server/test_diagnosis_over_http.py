@@ -1,4 +1,4 @@
-"""A diagnosis over HTTP that is really computed, and the same by `palpate diagnose`.
+"""A computed diagnosis over HTTP, compared with `palpate diagnose`.
 
 The scans are a phantom's between plates of which one is tilted; the service runs the real tasks
 on one worker, and suspects two effects. Some 40 s once the kernels are compiled:
@@ -55,7 +55,7 @@ seed: 3
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
-    """A service with the real tasks."""
+    """Provide a service with the real tasks."""
     home = tmp_path_factory.mktemp("real") / "runs"
     with running_service(home, ["--workers", "1"], "--real") as service:
         yield service
@@ -69,14 +69,14 @@ def real_client(served: ServiceProcess) -> Iterator[Client]:
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of a case: one scan at rest, one pressed."""
+    """Provide the folder of a case with one scan at rest and one under load."""
     folder = tmp_path_factory.mktemp("cases") / "tilted"
     return write_case(folder, {"tilt_depth": TILT_DEG}, NODES, PRESSED[1:])
 
 
 @pytest.fixture
 def few_suspects(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`palpate diagnose` suspects two effects, not the whole catalogue."""
+    """Limit `palpate diagnose` to two suspected effects."""
 
     def few(source: Any, store: Any, nodes: int) -> Any:
         return request_for(source, store, nodes, effects=SUSPECTS)
@@ -85,7 +85,7 @@ def few_suspects(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def steps(events: list[JobEvent]) -> list[tuple[str, int, int]]:
-    """What the events say of how far it was."""
+    """Return the progress in the events."""
     records = [event.record for event in events if event.kind == "record"]
     return [(r["phase"], r["done"], r["of"]) for r in records if r["kind"] == "step"]
 
@@ -99,14 +99,14 @@ def page_of(served: ServiceProcess, job: str) -> str:
 
 
 def lasting(page: str) -> list[str]:
-    """The lines of a page but those that say when and how it was made, and how long it took."""
+    """Return the lines of a page without date, command and run time."""
     return [x for x in page.splitlines() if not re.match(r"<div><dt>(Date|Run time|Command)", x)]
 
 
 def diagnosed_here(
     source: Path, nodes: int, out: Path, store: Path, capsys: pytest.CaptureFixture[str]
 ) -> tuple[str, dict[str, Any]]:
-    """Type `palpate diagnose`; what it said of its progress, and its record."""
+    """Run `palpate diagnose`; return its progress and its record."""
     command = ["diagnose", str(source), "--nodes", str(nodes), "--out", str(out), "--json"]
     assert main([*command, "--store", str(store), "--workers", "1", "--no-plan"]) == 0
     shown = capsys.readouterr()
@@ -114,7 +114,7 @@ def diagnosed_here(
 
 
 @pytest.mark.slow
-def test_a_diagnosis_over_http_is_that_of_the_command(
+def test_diagnosis_over_http_equals_command(
     served: ServiceProcess,
     real_client: Client,
     case: Path,
@@ -148,7 +148,7 @@ def test_a_diagnosis_over_http_is_that_of_the_command(
     copy = client.download(job.id, "diagnosis.json", tmp_path / "copy.json")
     assert json.loads(copy.read_text()) == found
 
-    # The same case in a store of its own: computed anew, to the same record and page.
+    # The same case in a separate store: recomputed, with the same record and page.
     said, here = diagnosed_here(case, NODES, tmp_path / "out", tmp_path / "store", capsys)
     assert "nothing to compute" not in said
     assert here == found
@@ -187,7 +187,7 @@ def test_a_study_that_has_run_is_diagnosed(
     assert lasting(page) == lasting((tmp_path / "out" / "diagnosis.html").read_text())
 
 
-def test_an_effect_that_is_misspelt_is_one_message(service: ServiceProcess, tmp_path: Path) -> None:
+def test_misspelt_effect_gives_one_message(service: ServiceProcess, tmp_path: Path) -> None:
     case = tmp_path / "misspelt"
     case.mkdir()
     for name in (SCANS[0], SCANS[2]):
@@ -197,7 +197,7 @@ def test_an_effect_that_is_misspelt_is_one_message(service: ServiceProcess, tmp_
         job = connected.diagnose(case, nodes=NODES, effects=["plate_tlit"])
         with pytest.raises(InputError, match="did you mean 'plate_tilt'"):
             job.wait()
-        with pytest.raises(StoreError, match="misspelt is failed: it has no result"):
+        with pytest.raises(StoreError, match="misspelt is failed and has no result"):
             _ = job.results
         with pytest.raises(InputError, match="effects"):
             connected.diagnose(case, nodes=NODES, effects=[])

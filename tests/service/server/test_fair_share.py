@@ -1,4 +1,4 @@
-"""Sharing of slots, without any cluster: jobs that ask in turn, tasks that end in turn."""
+"""Fair sharing of slots, simulated without a cluster."""
 
 import random
 
@@ -8,7 +8,7 @@ from palpate.service.server.jobs.fair_share import FairShare, JobSlots
 def simulate(
     share: FairShare, jobs: list[JobSlots], threads: int, rounds: int
 ) -> dict[JobSlots, int]:
-    """All jobs want all they can get; in each round one task ends. Returns tasks by job."""
+    """Return tasks by job if all jobs take every slot and one task ends per round."""
     chance, ended = random.Random(1), dict.fromkeys(jobs, 0)
     running: list[JobSlots] = []
     for _ in range(rounds):
@@ -22,7 +22,7 @@ def simulate(
     return ended
 
 
-def test_equals_share_equally_whoever_came_first() -> None:
+def test_equal_jobs_share_equally() -> None:
     share = FairShare()
     jobs = [share.join(owner, 0, n) for n, owner in enumerate(["ann", "bob", "eve"])]
     ended = simulate(share, jobs, threads=6, rounds=3000)
@@ -38,7 +38,7 @@ def test_an_owner_of_many_jobs_gets_no_more_than_one_of_few() -> None:
     assert max(ended[j] for j in many) - min(ended[j] for j in many) < 100
 
 
-def test_higher_priority_takes_all_that_it_can_use_and_leaves_the_rest() -> None:
+def test_higher_priority_is_served_first() -> None:
     share = FairShare()
     low, high = share.join("ann", 0, 0), share.join("ann", 3, 1)
     assert [low.take(1), low.take(1)] == [True, True]
@@ -48,7 +48,7 @@ def test_higher_priority_takes_all_that_it_can_use_and_leaves_the_rest() -> None
     assert high.take(1)
     low.give_back()
     assert high.take(1)
-    high.give_back()  # at the barrier of a generation: it asks for nothing
+    high.give_back()  # at the barrier of a generation: it requests nothing
     assert low.take(1)
     assert not high.take(1)
     low.give_back()

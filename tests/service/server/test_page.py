@@ -43,7 +43,7 @@ search:
   elite: 1
 seed: 3
 """
-# Of 20,000 evaluations, on a machine that is busy: to read them, and to draw them once.
+# Limits for 20,000 evaluations on a busy machine: reading them, and drawing them once.
 READ_S, DRAW_MS = 20.0, 250.0
 
 
@@ -66,7 +66,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def shown(browser: Any, served: ServiceProcess) -> Iterator[Shown]:
-    """The page, signed in by the address that the service prints."""
+    """Provide the page, signed in with the address printed by the service."""
     page = browser.new_page(viewport={"width": WIDE, "height": 900})
     page.set_default_timeout(PATIENCE_MS)
     told = Shown(page, served.url)
@@ -149,9 +149,7 @@ def test_a_failed_candidate_is_opened_with_its_constants_and_its_log(
     assert endings == page.locator("#failures .badge.crashed").count() > 0
 
 
-def test_a_page_that_is_left_before_it_appears_stays_away(
-    shown: Shown, served: ServiceProcess
-) -> None:
+def test_abandoned_view_does_not_appear(shown: Shown, served: ServiceProcess) -> None:
     set_manners(served.home / "store")
     with served.client() as client:
         client.submit_study(named("twice").replace("seed: 7", "seed: 12"))
@@ -168,7 +166,7 @@ def test_a_page_that_is_left_before_it_appears_stays_away(
     assert page.locator("#bodies").count() == page.locator("#workers").count() == 1
 
 
-def test_charts_answer_to_keys(shown: Shown, served: ServiceProcess) -> None:
+def test_charts_respond_to_keys(shown: Shown, served: ServiceProcess) -> None:
     set_manners(served.home / "store")
     with served.client() as client:
         client.submit_study(named("keys"))
@@ -224,10 +222,10 @@ def test_slices_slide_and_the_body_turns(shown: Shown, served: ServiceProcess) -
     assert turned == pytest.approx(azimuth - 30, abs=1)
 
 
-def test_bodies_that_are_ahead_of_the_page_are_not_waited_for(
+def test_does_not_wait_for_newer_bodies(
     shown: Shown, served: ServiceProcess, tmp_path: Path
 ) -> None:
-    """A body is drawn of the best candidate there is by then, of which the page may not know."""
+    """The drawn body may be of a newer best candidate than the page has."""
     text = named("ahead").replace("seed: 7", "seed: 10")
     run(tmp_path / "calm" / "ahead", Inline(), small_spec(text))
     scores = {c: e[4]["gsf"] for c, e in told(tmp_path / "calm" / "ahead").items() if e[4]}
@@ -242,7 +240,7 @@ def test_bodies_that_are_ahead_of_the_page_are_not_waited_for(
         with served.client() as client:
             client.submit_study(text)
         shown.open("ahead")
-        offer = page.locator("#bodies button:has-text('which is better')")
+        offer = page.locator("#bodies button:has-text('now the best')")
         offer.click()
         page.wait_for_selector("#bodies .note:has-text('being drawn')")
     finally:
@@ -263,7 +261,7 @@ def test_chosen_studies_are_compared(shown: Shown, served: ServiceProcess) -> No
         found = [client.results(name)["estimates"]["E_fat"]["estimate"] for name in ids]
     shown.open()
     page = shown.page
-    button = page.locator("button:has-text('compare the chosen studies')")
+    button = page.locator("button:has-text('compare selected studies')")
     assert button.is_disabled()
     for name in ids:
         page.check(f"tr[data-job='{name}'] input[type=checkbox]")
@@ -305,7 +303,7 @@ def test_an_empty_list_offers_a_first_step(browser: Any, tmp_path: Path, width: 
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(WIDE, "dark"), (NARROW, "light")])
-def test_nothing_is_cut_and_both_schemes_are_known(
+def test_no_clipping_in_light_and_dark_mode(
     shown: Shown, served: ServiceProcess, width: int, scheme: str
 ) -> None:
     with served.client() as client:
@@ -327,7 +325,7 @@ def test_nothing_is_cut_and_both_schemes_are_known(
     assert light == (scheme == "light")
 
 
-def test_a_stranger_watches_and_changes_nothing(browser: Any, served: ServiceProcess) -> None:
+def test_read_only_access_without_token(browser: Any, served: ServiceProcess) -> None:
     page = browser.new_page()
     page.set_default_timeout(PATIENCE_MS)
     loading: list[Any] = []
@@ -337,14 +335,14 @@ def test_a_stranger_watches_and_changes_nothing(browser: Any, served: ServicePro
     assert not page.locator("text=Submit a study").is_visible()
     page.fill("input[name=token]", "no such token")
     page.click("form.sign-in button")
-    page.wait_for_selector("#trouble:has-text('This token is not known')")
+    page.wait_for_selector("#trouble:has-text('This token is not valid')")
     assert loading  # the list comes after the refusal and does not take it back
     with page.expect_request("**/api/v1/events*"):
         for request in loading:
             request.continue_()
     page.unroute("**/api/v1/jobs?*")
     page.wait_for_timeout(200)
-    assert page.locator("#trouble:has-text('This token is not known')").is_visible()
+    assert page.locator("#trouble:has-text('This token is not valid')").is_visible()
     page.fill("input[name=token]", TOKEN)
     page.keyboard.press("Enter")
     page.wait_for_selector("#session:has-text('environment')")
@@ -373,7 +371,7 @@ def look_at_a_real_study(browser: Any, served: ServiceProcess) -> None:
     assert "outside (+) or inside" in page.inner_text('[data-viewer="body"] .scale')
     with page.expect_popup() as opened:
         page.click("[data-file='report.html']")
-    opened.value.wait_for_selector("h2:has-text('What was found')")
+    opened.value.wait_for_selector("h2:has-text('Estimates')")
     page.close()
 
 
@@ -408,7 +406,7 @@ def test_twenty_thousand_evaluations_stay_smooth(
 
 
 def fill_journal(client: Client, home: Path, name: str, count: int) -> None:
-    """Give a paused study a journal of so many evaluations."""
+    """Write a journal of many evaluations for a paused study."""
     client.submit_study(named(name, SLOW), priority=-100)
     client.change(name, "pause")
     while client.job(name).state == "running" or not (home / name / "journal.jsonl").exists():

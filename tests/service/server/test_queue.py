@@ -1,4 +1,4 @@
-"""The queue: a fold over its journal, and the states that a job may go through."""
+"""The queue as a fold over its journal, and the states of jobs."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "queue.jsonl"
 
 
-def test_what_was_known_is_known_after_a_restart(path: Path) -> None:
+def test_queue_survives_restart(path: Path) -> None:
     queue = Queue(path)
     first, _ = queue.submit("study", "demo", "ann", {"spec": {}}, priority=2)
     second, _ = queue.submit("study", "demo", "ann", {"spec": {}})
@@ -31,7 +31,7 @@ def test_what_was_known_is_known_after_a_restart(path: Path) -> None:
     again.close()
 
 
-def test_a_torn_last_line_never_happened(path: Path) -> None:
+def test_ignores_torn_last_line(path: Path) -> None:
     queue = Queue(path)
     queue.submit("study", "demo", "ann", {})
     queue.change("demo", "pause")
@@ -44,7 +44,7 @@ def test_a_torn_last_line_never_happened(path: Path) -> None:
     assert Queue(path).jobs[0].state == "cancelled"
 
 
-def test_the_same_key_is_the_same_job_of_the_same_owner(path: Path) -> None:
+def test_repeated_key_returns_same_job(path: Path) -> None:
     queue = Queue(path)
     first, new = queue.submit("study", "demo", "ann", {}, key="k")
     assert new
@@ -72,7 +72,7 @@ def test_states(path: Path, actions: list[Action], state: str) -> None:
 @pytest.mark.parametrize(
     "actions", [["finish", "pause"], ["cancel", "resume"], ["finish", "cancel"], ["pause", "fail"]]
 )
-def test_states_that_lead_nowhere(path: Path, actions: list[Action]) -> None:
+def test_rejects_invalid_state_changes(path: Path, actions: list[Action]) -> None:
     queue = Queue(path)
     queue.submit("study", "demo", "ann", {})
     queue.change("demo", actions[0])
@@ -87,7 +87,7 @@ def test_a_second_service_is_refused(path: Path) -> None:
     queue.close()
 
 
-def test_a_record_that_makes_no_sense_is_named(path: Path) -> None:
+def test_error_names_invalid_record(path: Path) -> None:
     path.write_text('{"kind":"changed","job":"nix","to":"paused","reason":"","at":""}\n')
-    with pytest.raises(JournalError, match="changed by hand"):
+    with pytest.raises(JournalError, match="was edited"):
         Queue(path)

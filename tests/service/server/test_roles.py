@@ -1,4 +1,4 @@
-"""Roles of tokens; what a message and a helper of the service may show."""
+"""Roles of tokens, and information that messages and helpers may reveal."""
 
 import os
 import subprocess
@@ -48,7 +48,7 @@ def test_only_the_submitter_or_an_admin_changes_a_job() -> None:
             check_may_change(owner, job("ann"))
         assert refused.value.status_code == 403
     assert writer(ann) == ann
-    with pytest.raises(HTTPException, match="may only read"):
+    with pytest.raises(HTTPException, match="is read-only"):
         writer(reader)
 
 
@@ -70,9 +70,7 @@ def test_streams_end_with_their_token(tmp_path: Path) -> None:
     assert still_reads(stranger, service)
 
 
-def test_the_token_is_taken_out_of_the_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_removes_token_from_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PALPATE_TOKEN", "x" * 20)
     assert take_token() == "x" * 20
     assert "PALPATE_TOKEN" not in os.environ
@@ -108,7 +106,7 @@ def test_a_helper_imports_nothing_from_the_folder_it_runs_in(tmp_path: Path) -> 
     assert ended.stdout.startswith("palpate ")
 
 
-def test_a_report_that_fails_is_said(tmp_path: Path) -> None:
+def test_reports_failed_page(tmp_path: Path) -> None:
     with pytest.raises(ReportError, match="Error"):
         write_report(tmp_path, False)
 

@@ -1,4 +1,4 @@
-"""What strangers send: paths, bombs, floods, forged requests. The service stays up and says no."""
+"""Hostile input is rejected: paths, bombs, floods and forged requests."""
 
 import http.client
 import json
@@ -33,7 +33,7 @@ def secret(service: ServiceProcess) -> Path:
 
 
 def raw(service: ServiceProcess, method: str, path: str, **more: Any) -> tuple[int, bytes]:
-    """A request whose path nobody tidies up on the way."""
+    """Send a request without normalising its path."""
     where = urlsplit(service.url)
     connection = http.client.HTTPConnection(str(where.hostname), where.port, timeout=30)
     try:
@@ -77,7 +77,9 @@ UP = [
         "/uploads/{up}/secret.yaml",
     ],
 )
-def test_no_path_leads_out(service: ServiceProcess, secret: Path, path: str, up: str) -> None:
+def test_rejects_paths_outside_home(
+    service: ServiceProcess, secret: Path, path: str, up: str
+) -> None:
     for method in ("GET", "PUT", "DELETE"):
         status, body = raw(service, method, API + path.format(up=up), body=b"name: x\n")
         assert 400 <= status < 500, (method, path, status)
@@ -96,7 +98,7 @@ def test_no_path_leads_out(service: ServiceProcess, secret: Path, path: str, up:
 def test_a_study_names_no_file_of_the_server(client: Client, secret: Path, volume: str) -> None:
     case = f'case: {{reference: {{volume: "{volume}", spacing_mm: 1}}, mesh: {{nodes: 2000}}}}'
     text = SPEC.replace("case: {reference: {phantom: {preset: 445ml}}, mesh: {nodes: 2000}}", case)
-    with pytest.raises(InputError, match=r"leads out|neither an upload"):
+    with pytest.raises(InputError, match=r"points outside|neither an upload"):
         client.submit_study(text)
 
 
@@ -115,7 +117,7 @@ def test_a_study_names_no_file_of_the_server(client: Client, secret: Path, volum
         ("scan.nrrd.exe", b""),
     ],
 )
-def test_uploads_that_lead_elsewhere_are_refused(
+def test_rejects_uploads_with_outside_paths(
     service: ServiceProcess, name: str, content: bytes
 ) -> None:
     path = f"{API}/uploads/bad/{name}"
@@ -172,7 +174,7 @@ def test_malformed_studies_are_refused(service: ServiceProcess, text: str) -> No
     assert len(answer.json()["error"]) < 5000
 
 
-def test_bodies_that_are_no_json(service: ServiceProcess) -> None:
+def test_rejects_bodies_that_are_not_json(service: ServiceProcess) -> None:
     headers = SIGNED | {"Content-Type": "application/json"}
     for body in (b"", b"{", b"\xff", b"[" * 60_000, b'{"study": NaN}', b"null", b'{"study": {}}'):
         answer = httpx.post(f"{service.url}{API}/studies", content=body, headers=headers)
@@ -212,7 +214,7 @@ def test_writing_needs_a_token(service: ServiceProcess, method: str, path: str) 
     assert not (service.home / ".service" / "uploads" / "f").exists()
 
 
-def test_a_page_of_another_site_changes_nothing(service: ServiceProcess) -> None:
+def test_rejects_writes_from_other_sites(service: ServiceProcess) -> None:
     signed_in = httpx.post(f"{service.url}{API}/session", json={"token": TOKEN})
     assert signed_in.status_code == 204
     cookie = signed_in.headers["set-cookie"]
@@ -247,12 +249,12 @@ def test_a_page_of_another_site_changes_nothing(service: ServiceProcess) -> None
 
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "", "[", "a b"])
-def test_the_service_answers_to_its_own_names_only(service: ServiceProcess, host: str) -> None:
+def test_rejects_unknown_host_names(service: ServiceProcess, host: str) -> None:
     status, _ = raw(service, "GET", f"{API}/health", headers={"Host": host})
     assert status in (400, 421)
 
 
-def test_reports_run_without_our_cookie(service: ServiceProcess, client: Client) -> None:
+def test_reports_run_without_session_cookie(service: ServiceProcess, client: Client) -> None:
     job = client.submit_study(SPEC.replace("name: demo", "name: sandboxed"))
     list(client.follow(job.id))
     answer = httpx.get(f"{service.url}{API}/jobs/sandboxed/files/study.yaml")
@@ -297,11 +299,11 @@ def test_a_link_in_the_folder_of_a_job_is_not_followed(
     assert SECRET not in answer.text
 
 
-def test_yaml_of_strangers() -> None:
+def test_untrusted_yaml() -> None:
     assert parsed_text("a: [1, {b: x}]", "it") == {"a": [1, {"b": "x"}]}
     with pytest.raises(InputError, match="anchors or aliases"):
         parsed_text("a: &x 1\nb: *x\n", "it")
     refuse_paths({"a": ["x/y.nrrd", "1/2", "a..b", 3, None]}, "it")
     for text in ("/x", " /x", "a/../b", "..", "~", "x/..", "http://x", "a\0b"):
-        with pytest.raises(InputError, match="leads out"):
+        with pytest.raises(InputError, match="points outside"):
             refuse_paths({"a": [text]}, "it")

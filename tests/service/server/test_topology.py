@@ -1,4 +1,4 @@
-"""What compose starts, as plain processes: scheduler, two workers, service, object store."""
+"""The compose topology as plain processes: scheduler, two workers, service, object store."""
 
 import os
 import subprocess
@@ -31,7 +31,7 @@ TOKEN = "a-token-of-the-tests"
 
 
 @pytest.mark.slow
-def test_a_study_goes_through_all_of_them(bucket: str, tmp_path: Path) -> None:
+def test_study_runs_on_every_topology(bucket: str, tmp_path: Path) -> None:
     store, port = f"{bucket}/store", unused_port()
     url = f"http://127.0.0.1:{port}"
     with plain_cluster(tmp_path, 2) as scheduler:
@@ -49,7 +49,7 @@ def test_a_study_goes_through_all_of_them(bucket: str, tmp_path: Path) -> None:
                 service.terminate()
                 service.wait(30)
     assert results["estimates"]
-    # All of it lies in the bucket, and nothing of a store in the folder of the service.
+    # All data are in the bucket, and no store is in the folder of the service.
     opened = open_store(store, create=False)
     found = check_store(opened)
     assert found.damages == []

@@ -1,4 +1,4 @@
-"""Uploads at the same time, uploads that are killed, and uploads that name other files."""
+"""Concurrent uploads, killed uploads, and uploads that name other files."""
 
 import asyncio
 import base64
@@ -29,7 +29,7 @@ async def body(size: int, *, pause_s: float = 0.0, fail: bool = False) -> AsyncI
         raise RuntimeError("gone")
 
 
-def test_limits_hold_for_uploads_at_the_same_time(tmp_path: Path) -> None:
+def test_size_limits_of_concurrent_uploads(tmp_path: Path) -> None:
     limits = Limits(upload_bytes=100 * KIB, uploads_bytes=300 * KIB, uploads_files=1000)
     uploads = Uploads(tmp_path, limits)
 
@@ -47,7 +47,7 @@ def test_limits_hold_for_uploads_at_the_same_time(tmp_path: Path) -> None:
     assert again.size_bytes == 100 * KIB
 
 
-def test_the_number_of_files_holds_for_uploads_at_the_same_time(tmp_path: Path) -> None:
+def test_file_limit_of_concurrent_uploads(tmp_path: Path) -> None:
     uploads = Uploads(tmp_path, Limits(uploads_files=3))
 
     async def all_at_once() -> list[object]:
@@ -59,7 +59,7 @@ def test_the_number_of_files_holds_for_uploads_at_the_same_time(tmp_path: Path) 
     assert len(uploads.list()) == 3
 
 
-def test_what_failed_or_was_killed_counts_no_more(tmp_path: Path) -> None:
+def test_failed_uploads_do_not_count(tmp_path: Path) -> None:
     limits = Limits(upload_bytes=100 * KIB, uploads_bytes=100 * KIB)
     uploads = Uploads(tmp_path, limits)
     for _ in range(3):
@@ -126,7 +126,7 @@ def test_a_case_reads_files_of_its_own_upload_only(tmp_path: Path, name: str) ->
 
 @pytest.mark.parametrize("key", ["volume", "labels"])
 @pytest.mark.parametrize("tag", ["!!binary L2V0Yy9wYXNzd2Q=", "!!set {/etc/passwd}"])
-def test_a_study_names_files_as_texts_only(tmp_path: Path, key: str, tag: str) -> None:
+def test_file_names_in_study_must_be_strings(tmp_path: Path, key: str, tag: str) -> None:
     case = f"case: {{reference: {{volume: x, spacing_mm: 1, {key}: {tag}}}, mesh: {{nodes: 2000}}}}"
     case = case.replace("volume: x, spacing_mm: 1, volume", "spacing_mm: 1, volume")
     text = SPEC.replace("case: {reference: {phantom: {preset: 445ml}}, mesh: {nodes: 2000}}", case)

@@ -1,4 +1,4 @@
-"""Stand-ins that also store small bodies, so that a page has slices and a body to show."""
+"""Stand-ins that also store small bodies for the viewers of a page."""
 
 import math
 from dataclasses import replace
@@ -19,7 +19,7 @@ Record = dict[str, Any]
 
 
 def egg(stretch: float) -> Volume:
-    """Fat with gland in its middle, on the chest wall, flattened along y by `stretch`."""
+    """Return fat with a central gland on the chest wall, flattened along y by `stretch`."""
     z, y, x = np.mgrid[0:18, -14:15, -16:17] * SPACING_MM
     a, b, c = HALF_AXES_MM[0] * stretch, HALF_AXES_MM[1] / stretch, 2 * HALF_AXES_MM[2]
     far = np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)

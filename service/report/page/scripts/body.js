@@ -1,8 +1,8 @@
 // The body in three dimensions, turned by pointer or keyboard.
 //
-// Triangles are filled by this script itself, with a depth buffer: some thousand of them take a
-// few milliseconds, look the same everywhere and need no graphics driver, which browsers without
-// a GPU no longer replace.
+// This script fills the triangles itself, with a depth buffer: some thousand take a few
+// milliseconds, look the same everywhere and need no graphics driver, which browsers without
+// a GPU no longer emulate.
 
 const AMBIENT = 0.55;
 const MOST_PIXELS = 900000;
@@ -66,7 +66,7 @@ class Raster {
       }
   }
 
-  // A line that the body hides where it lies behind it.
+  // A line, hidden where it is behind the body.
   line(a, b, colour, thick) {
     const steps = Math.ceil(Math.hypot(b[0] - a[0], b[1] - a[1])) || 1;
     const half = thick / 2;
@@ -114,7 +114,7 @@ const showBody = async (root, told = payload("body")) => {
 
   const canvas = make("canvas", {
     class: "body", tabindex: "0", role: "img",
-    "aria-label": "The body in three dimensions. Arrow keys turn it, plus and minus change its size, 0 goes back.",
+    "aria-label": "The body in three dimensions. Arrow keys turn it, plus and minus zoom, 0 resets the view.",
   });
   const scale = make("div", { class: "scale" });
   const context = canvas.getContext("2d");
@@ -318,12 +318,12 @@ const showBody = async (root, told = payload("body")) => {
   if (told.colourings.length > 1)
     controls.append(switchOf("Colour", "colour", told.colourings.map((c) => [c.key, c.title]), set("colouring")));
   const views = make("div", { class: "switch views" });
-  for (const [text, azimuth, elevation] of [["from the nipple", 0, 0], ["from the side", -90, 0], ["from above", 0, 89], ["back to the start", -50, 18]]) {
+  for (const [text, azimuth, elevation] of [["from the nipple", 0, 0], ["from the side", -90, 0], ["from above", 0, 89], ["reset", -50, 18]]) {
     const button = make("button", { type: "button" }, text);
     button.addEventListener("click", () => look(azimuth, elevation));
     views.append(button);
   }
-  const hint = make("p", { class: "readout" }, "Drag to turn it, or focus it and use the arrow keys; + and \u2212 change its size.");
+  const hint = make("p", { class: "readout" }, "Drag to rotate, or focus it and use the arrow keys; + and \u2212 zoom.");
   root.append(controls, make("div", { class: "stage" }, canvas), scale, views, hint);
   drawScale();
   draw();

@@ -1,4 +1,4 @@
-// Charts that answer to the pointer: the evaluation under it, in all charts at once.
+// Interactive charts: the evaluation under the pointer is marked in all charts.
 
 const showCharts = () => {
   const told = payload("evaluations");

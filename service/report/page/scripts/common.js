@@ -1,4 +1,4 @@
-// What the viewers of a page share: elements, switches, and arrays that were packed into the page.
+// Shared by the viewers of a page: elements, switches, and arrays packed into the page.
 "use strict";
 
 const make = (tag, attributes = {}, ...children) => {
@@ -8,7 +8,7 @@ const make = (tag, attributes = {}, ...children) => {
   return element;
 };
 
-// The same of SVG; a page without addresses learns its namespace from the parser.
+// The same for SVG; the namespace is taken from the parser, so the page contains no URL.
 const makeSvg = (tag, attributes = {}) => {
   const holder = make("div");
   holder.innerHTML = "<svg></svg>";
@@ -70,6 +70,6 @@ const rounded = (value, digits) => {
   return text.replace("-", "\u2212");
 };
 
-// Colours that are read from the style sheet are read again when the scheme changes.
+// Colours from the style sheet are reread when the colour scheme changes.
 const onScheme = (redraw) =>
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);

@@ -1,6 +1,6 @@
 // Buttons that save a chart: as an image (PNG), as a drawing (SVG), and its numbers (CSV).
 
-// What a drawing takes from the style sheet of the page, which a file of its own has not.
+// Style properties that a drawing needs in a separate file, without the style sheet.
 const STYLED = [
   "fill", "fill-opacity", "stroke", "stroke-width", "stroke-opacity", "stroke-dasharray", "stroke-linecap",
   "stroke-linejoin", "vector-effect", "font-family", "font-size", "font-weight", "opacity", "display", "image-rendering",
@@ -13,7 +13,7 @@ const save = (name, content, type) => {
   setTimeout(() => URL.revokeObjectURL(address), 10000);
 };
 
-// A drawing with its styles written into it, on the colour of the page.
+// A drawing with inline styles, on the background colour of the page.
 const standalone = (svg) => {
   const copy = svg.cloneNode(true);
   const [from, to] = [svg, copy].map((root) => [root, ...root.querySelectorAll("*")]);
@@ -40,7 +40,7 @@ const savePng = async (name, svg) => {
   canvas.toBlob((blob) => save(name, blob, "image/png"));
 };
 
-// Rows as RFC 4180 has them; true minus signs become those that programs read.
+// Rows as in RFC 4180; typographic minus signs become ASCII.
 const csv = (rows) => rows.map((row) => row.map((cell) => {
   const text = cell === null ? "" : String(cell).replace(/^\u2212/, "-");
   return /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;

@@ -1,4 +1,4 @@
-// Starts the viewers. What cannot start leaves the pictures of the page as they are.
+// Starts the viewers; if one cannot start, the page keeps its pictures.
 
 const start = async (name, show) => {
   const root = document.querySelector(`[data-viewer="${name}"]`);
@@ -14,7 +14,7 @@ const start = async (name, show) => {
   }
 };
 
-// The page of a running search is written anew: load it again while nobody touches it.
+// The page of a running search is rewritten: reload it while the reader is inactive.
 const keepFresh = () => {
   const seconds = Number(document.documentElement.dataset.refresh);
   if (!seconds) return;

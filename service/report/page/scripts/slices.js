@@ -1,7 +1,7 @@
 // Slices through the bodies of a page, all at one place, moved by a slider.
 
 const AXES = ["x", "y", "z"];
-// Of a comparison: outside, rest of the body, in both, only in the first, only in the second.
+// Labels of a comparison: outside, rest of the body, in both, first only, second only.
 const WIDE = 1.4; // slices wider than this are drawn two in a row
 const [OUTSIDE, BODY, BOTH, FIRST, SECOND] = [0, 1, 2, 3, 4];
 
@@ -25,7 +25,7 @@ const planeOf = (volume, view, atMm, frame) => {
   return out;
 };
 
-// Where tissues lie in the first body, in the second, and in both.
+// The places of tissues in the first body, in the second, and in both.
 const difference = (first, second, tissues) => {
   const compared = new Set(tissues);
   return first.map((label, k) => {
@@ -37,7 +37,7 @@ const difference = (first, second, tissues) => {
   });
 };
 
-// What a model has too little (FIRST) or too much (SECOND) of a scan: outline before gland.
+// Where a model has less (FIRST) or more (SECOND) than a scan: outline before gland.
 const overlay = (scan, model, gland) =>
   scan.map((label, k) => {
     const other = model[k];
@@ -70,7 +70,7 @@ const edgesOf = (frame, inside) => {
 };
 
 // Where two plates cross a slice, in pixels; a slice along the plates meets none. Lines are drawn
-// about a pixel outside of the body, whose skin they would hide.
+// about a pixel outside the body, so as not to hide its skin.
 const platesOf = (plates, view, atMm, frame) => {
   const [a, b] = [plates.axis[view.across], plates.axis[view.up]];
   if (Math.hypot(a, b) < 0.05) return "";
@@ -145,7 +145,7 @@ const showSlices = async (root, told = payload("slices")) => {
     smoothSmall();
   };
 
-  // Voxels smaller than pixels are averaged: picking the nearest would tear holes into thin skin.
+  // Voxels smaller than pixels are averaged: nearest-neighbour sampling leaves holes in thin skin.
   const smoothSmall = () => {
     for (const canvas of panels.querySelectorAll("canvas"))
       canvas.style.imageRendering = canvas.clientWidth * devicePixelRatio < canvas.width ? "auto" : "";

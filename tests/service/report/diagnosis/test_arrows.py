@@ -1,4 +1,4 @@
-"""Arrows of a bench experiment: what they show, how long they are, and when there are none."""
+"""Arrows of a bench experiment: directions, lengths, and absence."""
 
 import re
 
@@ -13,7 +13,7 @@ POINTS = np.array([[x, y, z] for x in (0.0, 4.0) for y in (0.0, 8.0) for z in (0
 
 
 def maps_of(before: np.ndarray, after: np.ndarray | None = None) -> Arrays:
-    """Return maps as a diagnosis has them: components of points, then one load cell."""
+    """Return the maps of a diagnosis: components of points, then one load cell."""
     scans = len(before)
     reading = np.full((scans, 1), 77.0)
     maps = {
@@ -30,7 +30,7 @@ def left(states: int, along: tuple[float, float, float]) -> np.ndarray:
     return np.tile(np.array(along), (states, len(POINTS), 1))
 
 
-def test_load_cells_are_no_points() -> None:
+def test_ignores_load_cells() -> None:
     before = np.random.default_rng(1).normal(size=(2, len(POINTS), 3))
     found = misfits_of(maps_of(before, 0.5 * before))
     assert np.array_equal(found.points, POINTS)
@@ -42,14 +42,12 @@ def test_load_cells_are_no_points() -> None:
 @pytest.mark.parametrize(
     ("longest", "noise", "times"), [(0.01, 0.0, 200.0), (9.0, 0.0, 0.5), (1e-6, 0.1, 20.0)]
 )
-def test_arrows_are_as_long_as_fits_but_noise_stays_small(
-    longest: float, noise: float, times: float
-) -> None:
+def test_enlarges_arrows_but_not_noise(longest: float, noise: float, times: float) -> None:
     misfits = Misfits(POINTS, left(1, (0.0, longest, 0.0)), None)
     assert enlarged(misfits, noise) == pytest.approx(times)
 
 
-def test_an_arrow_leads_to_where_the_model_puts_the_point() -> None:
+def test_arrow_ends_at_predicted_point() -> None:
     before, after = left(1, (0.0, 0.1, -0.2)), left(1, (0.0, -0.05, 0.0))
     (shown,) = arrow_pictures(maps_of(before, after), ["pulled"], "plate tilt", 0.01)
     assert "pulled" in shown.alt
@@ -63,14 +61,14 @@ def test_an_arrow_leads_to_where_the_model_puts_the_point() -> None:
     assert float(dy) < 0 < float(later_dy)  # upwards, and pixels grow downwards
 
 
-def test_only_states_that_are_farthest_off_are_drawn() -> None:
+def test_draws_states_with_largest_misfit() -> None:
     before = left(8, (0.1, 0.0, 0.0)) * np.arange(1, 9)[:, None, None]
     names = [f"step {n}" for n in range(1, 9)]
     shown = list(arrow_pictures(maps_of(before), names, "", 0.01))
     assert [picture.alt.split(":")[0] for picture in shown] == names[2:]
 
 
-def test_a_few_points_have_a_table_alone() -> None:
+def test_draws_no_arrows_for_few_points() -> None:
     maps = maps_of(left(1, (0.1, 0.0, 0.0)))
     few = np.r_[0:9, -1]
     maps = {

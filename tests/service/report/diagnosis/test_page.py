@@ -1,4 +1,4 @@
-"""The page of a diagnosis: self-contained, and true to the numbers."""
+"""The page of a diagnosis: self-contained and consistent with the record."""
 
 import copy
 import json
@@ -46,7 +46,7 @@ def page(source: str) -> Page:
 
 
 @pytest.mark.parametrize("told", VERDICTS.values(), ids=VERDICTS)
-def test_a_page_is_well_formed_and_needs_no_other_file(told: dict[str, Any]) -> None:
+def test_page_is_well_formed_and_self_contained(told: dict[str, Any]) -> None:
     source = render(found(told))
     page = Page(source)
     page.needs_no_other_file()
@@ -57,36 +57,36 @@ def test_a_page_is_well_formed_and_needs_no_other_file(told: dict[str, Any]) -> 
     assert {name: shown[name] for name in told} == told
 
 
-def test_same_diagnosis_same_bytes(source: str) -> None:
+def test_page_is_reproducible(source: str) -> None:
     assert render(found()) == source
 
 
 def test_the_page_is_written_without_matplotlib() -> None:
-    """Which alone would take as long to import as the page takes to write."""
+    """Importing it would take as long as writing the page."""
     asked = (
         "import sys, palpate.service.report.diagnosis.files; sys.exit('matplotlib' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", asked], check=False).returncode == 0
 
 
-def test_the_verdict_says_cause_size_and_what_is_left_on_an_unseen_scan() -> None:
+def test_verdict_names_cause_magnitude_and_held_out_gap() -> None:
     assert sentence_of(summary()) == (
         "Model and data differ by 0.27 mm (0.23 to 0.31) beyond the noise. The cause is plate "
-        "tilt (5.48 ± 0.27 deg, probability > 99 %). On scans that it was not fitted to, it "
-        "leaves nothing that stands out of the noise (at most 0.15 mm) of 0.31 mm."
+        "tilt (5.48 ± 0.27 deg, probability > 99 %). On scans not used in the fit, it "
+        "leaves nothing above the noise (at most 0.15 mm) of 0.31 mm."
     )
     assert sentence_of(VERDICTS["one scan"]).endswith("It leaves 0.10 mm (0.00 to 0.20).")
 
 
-def test_a_pattern_without_size_is_not_called_a_gap_of_zero() -> None:
+def test_systematic_residual_below_noise() -> None:
     gap = summary()["gap_mm"]
     gap["before"] = gap["held_out_before"] = gap["before"] | {"gap_mm": 0.0, "low_mm": 0.0}
     said = sentence_of(summary(gap_mm=gap))
-    assert said.startswith("Model and data differ by less than the noise, but not at random.")
-    assert said.endswith("leaves nothing that stands out of the noise (at most 0.15 mm).")
+    assert said.startswith("The residual is below the noise level but systematic.")
+    assert said.endswith("leaves nothing above the noise (at most 0.15 mm).")
 
 
-def test_what_hides_is_said_where_the_scans_are_sure_of_it() -> None:
+def test_reports_supported_but_absorbed_effect() -> None:
     def said(probability: float) -> str:
         changed = copy.deepcopy(summary())
         (force,) = (one for one in changed["effects"] if one["name"] == "plate_force")
@@ -95,12 +95,12 @@ def test_what_hides_is_said_where_the_scans_are_sure_of_it() -> None:
 
     assert said(0.6) == ""
     assert said(0.95) == (
-        " The scans speak for plate force (0.431 ± 0.064, probability 95 %), which other "
-        "constants all but hide: check it otherwise."
+        " The scans support plate force (0.431 ± 0.064, probability 95 %), but the fitted "
+        "constants can almost mimic it; confirm it with an independent measurement."
     )
 
 
-def test_noise_that_is_stated_wrongly_or_uneven_is_said() -> None:
+def test_reports_wrong_or_uneven_noise() -> None:
     def said(stated: float, learnt: float, least: float, most: float) -> str:
         noise = {"interface": "outline", "stated_mm": stated, "learnt_mm": learnt}
         ends = {"least_mm": least, "most_mm": most}
@@ -108,16 +108,16 @@ def test_noise_that_is_stated_wrongly_or_uneven_is_said() -> None:
 
     assert said(0.3, 0.35, 0.30, 0.40) == ""
     assert said(0.2, 0.3, 0.28, 0.32) == (
-        " The noise of the outline interface is stated too small: 0.20 mm, where its residuals "
+        " The noise of the outline interface is stated too small: 0.20 mm, but its residuals "
         "show 0.30 mm."
     )
     assert said(0.3, 0.3, 0.22, 0.41) == (
-        " The outline interface is drawn less exactly in one part of the body than in another: "
-        "with 0.22 to 0.41 mm of noise."
+        " The outline interface is segmented less accurately in one part of the body than in "
+        "another: its noise is 0.22 to 0.41 mm."
     )
 
 
-def test_noise_that_is_stated_wrongly_is_a_warning_and_no_part_of_the_headline() -> None:
+def test_wrong_noise_is_warning_outside_headline() -> None:
     noise = {"interface": "outline", "stated_mm": 0.2, "learnt_mm": 0.3}
     even = {"least_mm": 0.3, "most_mm": 0.3}
     shown = render(found(summary(noise=[noise | even])))
@@ -126,7 +126,7 @@ def test_noise_that_is_stated_wrongly_is_a_warning_and_no_part_of_the_headline()
     assert shown.count("stated too small") == 1
 
 
-def test_a_gap_of_micrometres_is_told_where_noise_is_smaller_still() -> None:
+def test_reports_gap_of_micrometres() -> None:
     gaps_mm = summary()["gap_mm"] | {
         "noise_floor": 0.0012,
         "before": gap(0.0031, 0.0027, 0.0035),
@@ -138,7 +138,7 @@ def test_a_gap_of_micrometres_is_told_where_noise_is_smaller_still() -> None:
     assert told.startswith("Model and data differ by 0.0031 mm (0.0027 to 0.0035) beyond the noise")
     # Under a tenth of a millimetre of noise the same gap is none.
     told = sentence_of(summary(gap_mm=gaps_mm | {"noise_floor": 0.1}))
-    assert told.startswith("Model and data differ by less than the noise, but not at random")
+    assert told.startswith("The residual is below the noise level but systematic")
 
 
 def test_two_effects_at_once_are_both_named() -> None:
@@ -150,10 +150,11 @@ def test_two_effects_at_once_are_both_named() -> None:
     ("which", "said"),
     [
         ("no gap", "A gap larger than 0.11 mm is unlikely."),
-        ("none of these", "no effect of the catalogue explains it"),
+        ("none of these", "no effect in the catalogue explains it"),
         (
             "not told apart",
-            "cannot tell which of plate tilt and plate flex is the cause; plate tilt comes first.",
+            "cannot decide which of plate tilt and plate flex is the cause; plate tilt is most "
+            "probable.",
         ),
     ],
 )
@@ -161,14 +162,14 @@ def test_other_verdicts(which: str, said: str) -> None:
     assert said in sentence_of(VERDICTS[which])
 
 
-def test_effects_with_magnitudes_and_the_hidden_ones_last_and_grey(source: str, page: Page) -> None:
+def test_absorbed_effects_are_last_and_grey(source: str, page: Page) -> None:
     tilt = page.row("plate tiltplate geometry")
     assert tilt[1] == "> 99 %"
     assert tilt[2].startswith("tilt depth 5.48 ± 0.27 degtilt across −0.04 ± 0.12 deg")
     assert tilt[3:] == ["> 1000", "1 %"]
     hidden = page.row("plate forceloading")
     assert hidden[1] == "–"
-    assert "99 % of it looks like another choice of constants" in hidden[2]
+    assert "the constants absorb 99 % of it" in hidden[2]
     order = [row[0] for row in page.cells if row[0].startswith("plate ")]
     assert order[:3] == [
         "plate tiltplate geometry",
@@ -199,15 +200,15 @@ def test_regions_without_a_significant_gap_are_grey(source: str, page: Page) -> 
     assert "<tr><td>80 N" in source
 
 
-def test_all_that_is_not_in_the_catalogue_is_listed(page: Page) -> None:
+def test_lists_causes_outside_catalogue(page: Page) -> None:
     for what, why in CATALOGUE.not_simulated:
         assert page.row(what)[1] == why
 
 
-def test_points_that_a_scan_does_not_show_are_counted(page: Page) -> None:
+def test_counts_points_left_out(page: Page) -> None:
     assert "left out" not in page.text
     told = summary() | {"left_out": 9}
-    said = f"Of {told['points'] + 9}, 9 were left out, because some scan does not show them"
+    said = f"Of {told['points'] + 9} points, 9 were left out, because some scan does not show them"
     assert said in Page(render(found(told))).text
 
 
@@ -217,14 +218,14 @@ def test_the_set_of_several_causes_names_their_family() -> None:
     assert "The most probable family is plate geometry (> 99 %)." in text
 
 
-def test_a_family_that_is_improbable_is_not_mentioned() -> None:
+def test_omits_improbable_family() -> None:
     told = VERDICTS["not told apart"]
     faint = dict.fromkeys(told["families"], 0.06)
     assert "most probable family" not in Page(render(found(told | {"families": faint}))).text
 
 
-def test_every_length_of_the_headline_has_its_tile() -> None:
-    """What the headline rounds to is what the tiles say."""
+def test_headline_lengths_agree_with_tiles() -> None:
+    """Headline and tiles are rounded alike."""
     told = Page(render(found()))
     lengths = re.findall(r"(?:differ by|of) (\d\.\d\d) mm", sentence_of(summary()))
     assert lengths == ["0.27", "0.31"]
@@ -239,7 +240,7 @@ def test_every_length_of_the_headline_has_its_tile() -> None:
             "effect",
             "Quote Efat = 11 (10.7 to 11.3) kPa and η = 60.1 (55 to 66) kPa, fitted with plate "
             "tilt.",
-            "Put plate",
+            "Add plate",
         ),
         (
             "no gap",
@@ -249,7 +250,7 @@ def test_every_length_of_the_headline_has_its_tile() -> None:
         (
             "none of these",
             "Do not quote Efat (the model lacks something that is not in the catalogue)",
-            "Look where model and data differ",
+            "Check where model and data differ",
         ),
         (
             "not told apart",
@@ -258,13 +259,13 @@ def test_every_length_of_the_headline_has_its_tile() -> None:
         ),
     ],
 )
-def test_what_follows_is_said(which: str, quote: str, following: str) -> None:
+def test_consequences(which: str, quote: str, following: str) -> None:
     text = Page(render(found(VERDICTS[which]))).text
     assert f"What to quote {quote}" in text
     assert f"Next {following}" in text or following in text[text.index("Next ") :][:120]
 
 
-def test_how_it_was_made_is_on_the_page() -> None:
+def test_page_shows_provenance() -> None:
     made = Made(
         "2026-11-22T10:05:00+00:00",
         "palpate diagnose cases/by-hand",
@@ -291,9 +292,9 @@ def test_warnings() -> None:
     assert "The refit of plate flex did not converge" in render(found(summary(refits=refits)))
     gap = summary()["gap_mm"]
     gap["held_out_share"] = {"share": 0.3, "low": -0.2, "high": 0.6}
-    assert "take the cause for a lead" in render(found(summary(gap_mm=gap)))
+    assert "treat this cause as a lead" in render(found(summary(gap_mm=gap)))
     gap = summary()["gap_mm"] | {"not_judged": ["80 N"]}
-    assert "What the effect leaves of 80 N is not judged" in render(found(summary(gap_mm=gap)))
+    assert "The gap of 80 N with the effect is not checked" in render(found(summary(gap_mm=gap)))
     assert "note warn" not in render(found())
 
 
@@ -313,7 +314,7 @@ def test_a_map_for_each_scan_and_interface() -> None:
 
 
 def rects(svg: Svg, *classes: str) -> list[tuple[str, float, float]]:
-    """Bars as (class, start, end) in pixels, those of the legend left out."""
+    """Return bars as (class, start, end) in pixels, without the legend."""
     drawing = ElementTree.fromstring(str(svg.markup("bars")))
     bars = [e for e in drawing.iter("rect") if e.get("height") == "15"]
     return [
@@ -324,7 +325,7 @@ def rects(svg: Svg, *classes: str) -> list[tuple[str, float, float]]:
 
 
 @pytest.mark.parametrize("width", [980.0, 400.0])
-def test_bars_are_as_long_as_their_gaps(width: float) -> None:
+def test_bar_lengths_equal_gaps(width: float) -> None:
     gap = typed(summary()).gap_mm
     drawn = gaps([Judged("all", gap.before, gap.after)], 0.4367, "plate tilt", width)
     (_, zero, before), (_, also_zero, after) = rects(drawn)
@@ -357,13 +358,13 @@ def test_evidence_stacks_the_field_only_where_it_helps() -> None:
     assert [(x - zero) / per_nat for x in less[1:]] == pytest.approx([-2.0, 0.0], abs=0.05)
 
 
-def test_causes_of_the_90_percent_set_have_their_colour() -> None:
+def test_causes_in_90_percent_set_are_coloured() -> None:
     rows = [Cause("tilt", 0.7, True), Cause("flex", 0.25, True), Cause("no gap", 0.05, False)]
     colours = [bar[0] for bar in rects(probabilities(rows, 980.0))]
     assert colours == ["bar-after", "bar-after", "bar-before"]
 
 
-def test_colours_tell_sign_and_noise() -> None:
+def test_colours_show_sign_and_noise() -> None:
     """Three points: within the noise, outside and inside the scanned tissue."""
     points = np.array([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0], [4.0, 6.0, 6.0]])
     residual, noise = np.array([0.7, 1.0, -2.0]), np.full(3, 0.4)
@@ -382,7 +383,7 @@ def test_colours_tell_sign_and_noise() -> None:
 
 
 def dots_of(svg: Svg) -> list[tuple[str, str | None, tuple[float, float]]]:
-    """Dots as (kind, colour, pixel), the first of each colour."""
+    """Return dots as (kind, colour, pixel), the first of each colour."""
     drawing = ElementTree.fromstring(str(svg.markup("dots")))
     paths = [path for path in drawing.iter("path") if "dots" in path.get("class", "").split()]
     return [
@@ -396,12 +397,12 @@ def first_place(data: str) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def test_the_colour_scale_is_that_of_significant_residuals() -> None:
+def test_colour_scale_covers_significant_residuals() -> None:
     noise = np.full(100, 0.2)
     assert range_mm(np.full(100, 0.3), noise) == 0.5  # nothing stands out
     assert range_mm(np.append(np.full(99, 0.3), 3.0), noise) == 3.0
 
 
-def test_no_refit_no_chart_of_evidence() -> None:
+def test_no_evidence_chart_without_refits() -> None:
     assert "Evidence of the refits" not in render(found(nothing("no-gap")))
     assert "Evidence of the refits" in render(found())

@@ -1,4 +1,4 @@
-"""Displacement and gap in slices: of an egg whose points move in proportion to its axes."""
+"""Displacement and gap in slices of an egg with displacements proportional to its axes."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def at(field: Volume, place_mm: tuple[float, float, float]) -> float:
     return float(field.values[z, y, x])
 
 
-def test_tissue_has_its_displacement_and_interfaces_their_gap() -> None:
+def test_fields_of_displacement_and_gap() -> None:
     maps = found().maps
     ends = NOMINAL_MM[0]
     maps["moved_before"] = maps["points"] * (ends / HALF_AXES_MM)[None, None]
@@ -33,5 +33,5 @@ def test_tissue_has_its_displacement_and_interfaces_their_gap() -> None:
     assert np.isnan(at(gap, (0.0, 0.0, 0.0)))
 
 
-def test_there_are_none_where_it_is_not_known_how_points_move() -> None:
+def test_no_fields_without_displacements() -> None:
     assert slice_fields(found().maps, 0, {"before": egg(NOMINAL_MM[0])}, ("before",)) == {}

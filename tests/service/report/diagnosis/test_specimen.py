@@ -1,4 +1,4 @@
-"""The picture of a specimen: rings where points were measured, crosses where models put them."""
+"""The picture of a specimen: rings for measured points, crosses for predicted ones."""
 
 import re
 from dataclasses import replace
@@ -21,7 +21,7 @@ def summary(*states: MarkerState) -> Summary:
 
 
 def state(name: str, along_mm: float, left_mm: float) -> MarkerState:
-    """Points that move along z by `along_mm`; the third was not seen."""
+    """Return points that move along z by `along_mm`; the third was not measured."""
     seen = MarkerResidual("M", (0.0, 0.0, along_mm), (0.0, 0.0, left_mm), (0.0, 0.0, 0.0))
     hidden = MarkerResidual("M3", (NAN,) * 3, (NAN,) * 3, (NAN,) * 3)
     return MarkerState(name, None, (seen, seen, hidden))
@@ -37,7 +37,7 @@ def maps(states: int) -> Arrays:
     }
 
 
-def test_models_are_where_the_measurement_and_its_residual_put_them() -> None:
+def test_predicted_points_are_measurement_minus_residual() -> None:
     (one,) = movements(maps(1), summary(state("pulled", 3.0, -1.0)))
     np.testing.assert_array_equal(one.rest, PLACES[:2])
     for name, along in (("measured", 3.0), ("before", 2.0), ("after", 3.0)):
@@ -45,7 +45,7 @@ def test_models_are_where_the_measurement_and_its_residual_put_them() -> None:
     assert one.misfit_mm == pytest.approx(1 / np.sqrt(3))
 
 
-def test_a_picture_shows_points_edges_and_says_how_much_is_enlarged() -> None:
+def test_picture_shows_points_edges_and_magnification() -> None:
     found = summary(state("a", 0.3, 0.0), state("b", 0.3, 0.1))
     shown, _ = specimen_pictures(maps(2), found, "plate tilt")
     assert shown.alt.startswith("b: ")  # the state that is farthest off comes first
@@ -65,6 +65,6 @@ def test_flat_body_is_drawn_once() -> None:
     assert len(re.findall(r'class="(?:at-rest|left-before) edge"', wide)) == 2
 
 
-def test_without_places_there_is_no_picture() -> None:
+def test_no_picture_without_positions() -> None:
     assert list(specimen_pictures({}, summary(state("a", 1.0, 0.0)), "")) == []
     assert movements({"marker_points": PLACES[:1]}, summary(state("a", 1.0, 0.0))) == []

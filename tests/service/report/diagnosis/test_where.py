@@ -1,4 +1,4 @@
-"""The pictures of where model and scan differ: bodies drawn as they lie, colours as they mean."""
+"""Pictures of the gap: positions and colours."""
 
 import re
 from dataclasses import replace
@@ -59,14 +59,14 @@ def page(source: str) -> Page:
     return Page(source)
 
 
-def test_the_page_with_bodies_needs_no_other_file_and_is_light(source: str, page: Page) -> None:
+def test_page_with_bodies_is_self_contained_and_small(source: str, page: Page) -> None:
     page.needs_no_other_file()
     assert page.drawings()
     assert len(source) < 3e6
     assert render(found()) == source
 
 
-def test_every_scan_has_its_map_and_its_sections_whatever_way_the_plates_press(page: Page) -> None:
+def test_every_scan_has_map_and_sections(page: Page) -> None:
     labels = [drawing.get("aria-label", "") for drawing in page.drawings()]
     told = [label.split(":")[0] for label in labels if "Scan at" in label]
     assert told == [f"Scan at {name}" for name in SCANS] * 2
@@ -96,7 +96,7 @@ def square(z: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_triangle_has_the_colour_of_its_nearest_point() -> None:
-    """Two triangles: the point of one lies within the noise, that of the other does not."""
+    """Two triangles: the point of one is within the noise, the other's is not."""
     vertices, triangles = square(0.0)
     points = np.array([[3.0, 1.0, 0.0], [1.0, 3.0, 0.0]])
     values, spread = np.array([-1.0, 0.15]), np.array([0.1, 0.1])
@@ -110,7 +110,7 @@ def test_a_triangle_has_the_colour_of_its_nearest_point() -> None:
         np.testing.assert_allclose(colour, to_rgba(UNKNOWN)[:3])
 
 
-def test_what_is_nearer_to_the_viewer_hides_what_is_farther() -> None:
+def test_nearer_triangles_hide_farther_ones() -> None:
     low, triangles = square(0.0)
     high, _ = square(1.0)
     vertices = np.concatenate([high, low])
@@ -119,7 +119,7 @@ def test_what_is_nearer_to_the_viewer_hides_what_is_farther() -> None:
     for seen in seen_from_all_sides([Solid("outline", vertices, both, points)]):
         rows, columns = seen.front.shape
         assert seen.front[rows // 2, columns // 2] in (0, 1)
-        # The upper square is whole, and of the lower one an edge shows below it.
+        # The upper square is complete; an edge of the lower one is visible below it.
         shown = np.bincount(seen.front[seen.front >= 0], minlength=4)
         assert shown[0] == pytest.approx(shown[1], rel=0.02)
         assert 0 < shown[2:].sum() < shown[:2].sum() / 2
@@ -145,9 +145,7 @@ def test_every_solid_is_drawn_from_both_sides_for_each_model() -> None:
         assert text.count(side) == 2
 
 
-def test_the_same_scale_serves_all_scans_and_both_models(
-    whole: FinishedDiagnosis, page: Page
-) -> None:
+def test_scans_and_models_share_colour_scale(whole: FinishedDiagnosis, page: Page) -> None:
     maps = whole.maps
     loud = np.abs(maps["local_before"])[np.abs(maps["local_before"]) >= 0.2]
     assert np.quantile(loud, 0.98) > 0.5
@@ -178,13 +176,13 @@ def test_sections_are_compared_voxel_by_voxel() -> None:
     assert same == [0, IN_BOTH, GLAND_IN_BOTH, IN_BOTH, 0]
 
 
-def test_too_much_is_vermilion_too_little_is_blue_and_air_is_clear() -> None:
+def test_overlay_colours() -> None:
     assert OVERLAY[0, 3] == 0
     assert OVERLAY[TOO_MUCH].tolist() == [*bytes.fromhex(VERMILION[1:]), 255]
     assert OVERLAY[TOO_LITTLE].tolist() == [*bytes.fromhex(BLUE[1:]), 255]
 
 
-def test_a_model_that_is_too_long_is_too_much_at_its_ends() -> None:
+def test_excess_length_is_marked_at_ends() -> None:
     """Along x the model is 6 mm longer at each end, along y and z it fits."""
     seen, model = egg(np.array([18.0, 16.0, 14.0])), egg(np.array([24.0, 16.0, 14.0]))
     for view in VIEWS:
@@ -197,8 +195,8 @@ def test_a_model_that_is_too_long_is_too_much_at_its_ends() -> None:
         assert shown.extent_mm[:2] == (-30.75, 30.75)
 
 
-def test_sections_lie_in_their_axes() -> None:
-    """The frame is that of the scan; what the model has beyond it is cut off."""
+def test_sections_align_with_axes() -> None:
+    """The frame is the scan's; parts of the model outside are cut off."""
     seen, model = egg(np.array([18.0, 16.0, 14.0])), egg(np.array([27.0, 16.0, 14.0]))
     drawing = ElementTree.fromstring(
         str(overlays(seen, {"nominal model": model}, (0.0, 0.0, 0.0)).markup("sections"))
@@ -225,12 +223,12 @@ def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: FinishedDiagnosis) 
     row = int((LUMP_MM[1] - bottom) / (top - bottom) * rows)
     red, green, _, _ = pixels[row, column]
     assert red > 1.5 * green  # purple: stiffer
-    # The other sign on the other side.
+    # The opposite sign on the other side.
     red, green, _, _ = pixels[rows - 1 - row, columns - 1 - column]
     assert green > red
 
 
-def test_scores_within_the_noise_are_grey_and_unknown_ones_clear() -> None:
+def test_cause_map_colours() -> None:
     """From the softest to the stiffest: both ends of the scale have their colours."""
     scores = np.array([np.nan, -4.0, -1.9, 0.0, 1.9, 4.0], np.float32).reshape(1, 1, 6)
     colours = ColourScale(CAUSES, 4.0)
@@ -242,7 +240,7 @@ def test_scores_within_the_noise_are_grey_and_unknown_ones_clear() -> None:
         np.testing.assert_allclose(pixel, [*bytes.fromhex(stop[1:]), 255], atol=2)
 
 
-def test_words_of_the_map_say_whether_it_is_more_than_noise(whole: FinishedDiagnosis) -> None:
+def test_cause_map_caption_compares_with_noise(whole: FinishedDiagnosis) -> None:
     told = whole.summary.cause_map
     assert told is not None
     assert where.cause_words(told).startswith(
@@ -254,9 +252,7 @@ def test_words_of_the_map_say_whether_it_is_more_than_noise(whole: FinishedDiagn
     assert "Its score of −2.1 is no more than noise alone" in where.cause_words(quiet)
 
 
-def test_overlap_before_and_after_with_what_is_reachable(
-    whole: FinishedDiagnosis, page: Page
-) -> None:
+def test_overlap_before_and_after_and_attainable(whole: FinishedDiagnosis, page: Page) -> None:
     told_rows = whole.summary.overlap
     assert told_rows is not None
     rows = tables.overlap(told_rows)
@@ -273,7 +269,7 @@ def test_overlap_before_and_after_with_what_is_reachable(
     assert " ".join(shown[2].split()) == (f"{rows[0].jc[0]} → 1.000 ({told.reachable_jc:.3f})")
 
 
-def test_percentiles_of_regions_are_shown_where_they_are_known() -> None:
+def test_shows_known_percentiles_of_regions() -> None:
     regions = [r | {"p50_mm": 0.2, "p95_mm": 0.714} for r in summary()["where"]]
     page = Page(render(without_bodies(summary(where=regions))))
     row = next(r for r in page.cells if r[:3] == ["80 N", "glandular", "nipple third"])

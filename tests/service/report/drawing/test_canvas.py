@@ -1,4 +1,4 @@
-"""A figure as text: the same bytes for the same figure."""
+"""Reproducible figures as text."""
 
 import re
 
@@ -16,12 +16,12 @@ def drawn(width: float) -> str:
     return svg(made)
 
 
-def test_the_last_bit_of_a_layout_leaves_no_trace() -> None:
+def test_output_is_independent_of_rounding() -> None:
     assert drawn(0.8) == drawn(np.nextafter(0.8, 1.0))
     assert drawn(0.8) != drawn(0.7)
 
 
-def test_what_is_referred_to_is_there() -> None:
+def test_references_are_defined() -> None:
     text = drawn(0.8)
     names = re.findall(r'\bid="([^"]+)"', text)
     referred = set(re.findall(r"url\(#([^)]+)\)", text)) | set(re.findall(r'href="#([^"]+)"', text))

@@ -1,4 +1,4 @@
-"""Lines around masks, drawn by hand."""
+"""Contours of hand-drawn masks."""
 
 import numpy as np
 
@@ -6,18 +6,18 @@ from palpate.service.report.drawing.contours import contours, path_of
 
 
 def mask(*lines: str) -> np.ndarray:
-    """The first line is the uppermost."""
+    """Return a mask; the first line is the top row."""
     return np.array([[c == "#" for c in line] for line in lines[::-1]])
 
 
 def area(line: np.ndarray) -> float:
-    """In pixels; positive where the inside lies on the left."""
+    """Return the area in pixels, positive if the inside is on the left."""
     (x, y), (nx, ny) = line[:-1].T, line[1:].T
     return float((x * ny - nx * y).sum()) / 8
 
 
 def test_one_pixel_is_a_diamond_around_its_centre() -> None:
-    """Halves of a pixel: the centre of the pixel lies at (2, 2)::
+    """Coordinates in half pixels; the centre of the pixel is (2, 2)::
 
     ...
     .#.
@@ -37,7 +37,7 @@ def test_straight_lines_have_no_points_between_their_ends() -> None:
 
 
 def test_a_hole_is_on_the_right_of_its_line() -> None:
-    """Seven by seven pixels with one left out; corners are cut by an eighth each."""
+    """Seven by seven pixels without one; each corner is cut by an eighth."""
     lines = contours(
         mask(".......", ".#####.", ".#####.", ".##.##.", ".#####.", ".#####.", ".......")
     )
@@ -57,18 +57,18 @@ def test_pixels_that_touch_at_a_corner_have_their_own_lines() -> None:
 
 
 def test_a_line_ends_where_the_mask_ends() -> None:
-    """The body goes on below: one line from the right to the left, and none at its cut."""
+    """The body continues below: one line from right to left, and none at the cut."""
     (line,) = contours(mask("....", "....", "####", "####"))
     assert line.tolist() == [[6, 3], [0, 3]]
 
 
-def test_nothing_and_everything_have_no_line() -> None:
+def test_empty_and_full_masks_have_no_contour() -> None:
     for inside in (mask("..", ".."), mask("##", "##"), mask("#."), mask("#")):
         assert contours(inside) == []
 
 
 def test_random_masks_have_the_area_of_their_pixels() -> None:
-    """Marching squares take from and add to corners as much, but for single ones."""
+    """Marching squares add and remove equal areas at corners, except single ones."""
     rng = np.random.default_rng(0)
     for _ in range(20):
         inside = np.pad(rng.random((9, 12)) < 0.5, 1)
@@ -84,7 +84,7 @@ def test_random_masks_have_the_area_of_their_pixels() -> None:
         assert sum(area(line) for line in lines) == expected
 
 
-def test_a_path_goes_in_steps() -> None:
+def test_path_uses_relative_steps() -> None:
     (line,) = contours(mask("...", ".#.", "..."))
     steps = path_of([line])
     x, y = line[0].tolist()

@@ -1,4 +1,4 @@
-"""Corner plots: contours hold the shares of draws that they state."""
+"""Contours of corner plots contain the stated shares of the draws."""
 
 import numpy as np
 import pytest

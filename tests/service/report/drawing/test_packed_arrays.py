@@ -1,4 +1,4 @@
-"""What is packed into a page is what its script unpacks."""
+"""Packed arrays are unpacked without change."""
 
 import base64
 import json
@@ -34,18 +34,18 @@ def told_by(element: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("kind", TYPES)
-def test_an_array_comes_back(kind: str) -> None:
+def test_array_round_trip(kind: str) -> None:
     values = np.arange(200).reshape(4, 5, 10)
     np.testing.assert_array_equal(unpacked(packed(values, kind)), values.ravel())
 
 
-def test_text_cannot_end_its_element() -> None:
+def test_escapes_closing_tags() -> None:
     element = script("told", {"name": "</script><script>alert(1)//"})
     assert element.count("</script>") == 1
     assert told_by(element) == {"name": "</script><script>alert(1)//"}
 
 
-def test_a_large_volume_is_thinned_out_and_stays_in_its_place() -> None:
+def test_large_volume_is_subsampled_in_place() -> None:
     values = np.zeros((20, 30, 40), np.uint8)
     values[10:14, 12:16, 20:24] = 2
     volume = Volume(values, (1.0, 2.0, 3.0), (5.0, 6.0, 7.0))
@@ -67,7 +67,7 @@ def test_the_box_of_a_body_is_that_of_its_voxels_faces() -> None:
     assert high == (4.5, 5.0, 10.0)
 
 
-def test_labels_of_a_breast_take_little_room() -> None:
+def test_breast_labels_are_compact() -> None:
     """160 voxels along each axis, a gland of 200 blobs: less than half a megabyte."""
     rng = np.random.default_rng(1)
     z, y, x = np.ogrid[-1:1:160j, -1:1:160j, -1:1:160j]

@@ -1,4 +1,4 @@
-"""Plates touch the body and cross a section where geometry says."""
+"""Positions of plates at a body and in a section."""
 
 import numpy as np
 import pytest

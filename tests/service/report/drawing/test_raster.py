@@ -1,4 +1,4 @@
-"""A section as a PNG, read by another reader."""
+"""Sections as PNG, checked with an independent reader."""
 
 import base64
 import io
@@ -22,7 +22,7 @@ def test_every_pixel_has_the_colour_of_its_label_and_air_is_clear() -> None:
     assert pixels[1, 1].tolist() == [*bytes.fromhex(fat[1:]), 255]
 
 
-def test_an_image_keeps_its_colours_and_what_is_clear() -> None:
+def test_image_keeps_colours_and_transparency() -> None:
     """Two rows of three pixels, row 0 at the bottom."""
     pixels = np.arange(24, dtype=np.uint8).reshape(2, 3, 4) * 10
     told = base64.b64decode(image_uri(pixels).removeprefix("data:image/png;base64,"))

@@ -20,7 +20,7 @@ CORONAL, TRANSVERSE, SAGITTAL = VIEWS
 
 
 def drawn(*rows: str, origin: tuple[float, float] = (0.0, 0.0)) -> Section:
-    """A section as it is seen: the first row at the top; a dot is air, f fat, g gland."""
+    """Return a section from text, top row first; a dot is air, f fat, g gland."""
     labels = {".": Tissue.AIR, "f": Tissue.FAT, "g": Tissue.GLANDULAR}
     values = [[labels[sign] for sign in row] for row in reversed(rows)]
     return Section(np.array(values, np.uint8), (2.0, 1.0), origin)
@@ -41,7 +41,7 @@ def one_voxel() -> Volume:
         (SAGITTAL, 22.0, (2, 4), 1, 3, (9.5, 13.5, 29.5, 31.5)),  # up z, across x
     ],
 )
-def test_a_voxel_lands_where_its_coordinates_say(
+def test_voxel_position_agrees_with_coordinates(
     view: palette.IntEnum,
     at_mm: float,
     shape: tuple[int, int],
@@ -69,7 +69,7 @@ def test_middle_of_a_tissue_in_mm() -> None:
 
 
 def test_air_has_no_middle() -> None:
-    with pytest.raises(InputError, match="nothing but air"):
+    with pytest.raises(InputError, match="only air"):
         middle_mm(Volume(np.zeros((2, 2, 2), np.uint8), (1.0, 1.0, 1.0)), [Tissue.FAT])
 
 
@@ -102,7 +102,7 @@ def test_difference_by_hand_in_boxes_that_differ() -> None:
     assert not np.isin(same.values, [T, C]).any()
 
 
-def test_the_frame_holds_all_bodies_and_no_box() -> None:
+def test_frame_contains_bodies_tightly() -> None:
     roomy = drawn("....", ".f..", "....")  # x from 1 to 3, y from 0.5 to 1.5
     left, right, bottom, top = frame_mm([roomy])
     assert (left, right, bottom, top) == pytest.approx((1 - 0.08, 3 + 0.08, 0.5 - 0.08, 1.5 + 0.08))
@@ -111,7 +111,7 @@ def test_the_frame_holds_all_bodies_and_no_box() -> None:
 
 
 def _lightness(colour: str) -> float:
-    """CIE L* of an sRGB colour."""
+    """Return CIE L* of an sRGB colour."""
     rgb = np.array([int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)])
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     y = float(linear @ [0.2126, 0.7152, 0.0722])

@@ -5,7 +5,7 @@ import numpy as np
 from palpate.service.report.drawing.triangle_raster import NONE, front_triangles
 
 
-def test_a_triangle_covers_the_pixels_whose_middles_it_holds() -> None:
+def test_triangle_covers_pixels_with_centres_inside() -> None:
     """The lower left half of four by four pixels, a little less than its diagonal::
 
     #...
@@ -21,8 +21,8 @@ def test_a_triangle_covers_the_pixels_whose_middles_it_holds() -> None:
     np.testing.assert_array_equal(seen, expected)
 
 
-def test_the_nearest_triangle_is_seen_whatever_the_order_of_corners_and_triangles() -> None:
-    """Against a test of every pixel with every triangle; some reach beyond the picture."""
+def test_nearest_triangle_is_visible_in_any_order() -> None:
+    """Compare with a brute-force test of every pixel; some triangles extend beyond the picture."""
     rng = np.random.default_rng(5)
     rows, columns = 17, 23
     corners = rng.uniform(-4, 28, (40, 3, 2))
@@ -42,7 +42,7 @@ def inside(corners: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def test_a_surface_has_no_cracks() -> None:
-    """A disc in 200 triangles around its middle covers all of a picture inside of it."""
+    """A disc of 200 triangles around its centre covers a picture inside it completely."""
     turn = np.linspace(0, 2 * np.pi, 201)
     rim = 40 * np.stack([np.cos(turn), np.sin(turn)], axis=1) + 10
     middle = np.full((200, 2), 10.3)

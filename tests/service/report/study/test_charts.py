@@ -1,4 +1,4 @@
-"""Charts of a search: marks stand where their values are."""
+"""Charts of a search: marks are at their values."""
 
 import math
 import re
@@ -32,7 +32,7 @@ def places(path: ElementTree.Element) -> list[tuple[float, float]]:
     return [(float(x), float(y)) for x, y in found]
 
 
-def test_dots_carry_the_numbers_of_their_evaluations() -> None:
+def test_dots_have_evaluation_numbers() -> None:
     drawing = parsed(study_charts.convergence(points(), [-math.inf, -2.0], [math.nan, -0.75], 900))
     (dots,) = [e for e in classed(drawing, "dots") if e.get("data-i")]
     assert dots.get("data-i") == "0 3 4"  # neither the failure nor the identical one
@@ -60,7 +60,7 @@ def test_a_search_with_nothing_but_failures_can_be_drawn() -> None:
 
 
 @pytest.mark.parametrize("width", [900.0, 400.0])
-def test_marks_stand_where_their_values_are(width: float) -> None:
+def test_marks_are_at_their_values(width: float) -> None:
     drawing = parsed(study_charts.ranges([FOUND], {"E": [15.0]}, width))
     (track,) = classed(drawing, "track")
     left, right = map(float, re.findall(r"M([\d.]+) [\d.]+H([\d.]+)", track.get("d", ""))[0])
@@ -76,8 +76,8 @@ def test_marks_stand_where_their_values_are(width: float) -> None:
 
 
 @pytest.mark.parametrize("width", [900.0, 400.0])
-def test_nothing_is_drawn_beside_the_chart(width: float) -> None:
-    """Marks and text begin inside; text is taken to be as wide as its letters."""
+def test_nothing_is_drawn_outside_chart(width: float) -> None:
+    """Marks and text start inside; the width of text is estimated from its letters."""
     for svg in (
         study_charts.convergence(points(), [-1.0, -2.0], [0.0, -0.75], width),
         study_charts.ranges([FOUND], {"E": [15.0]}, width),
@@ -93,7 +93,7 @@ def test_nothing_is_drawn_beside_the_chart(width: float) -> None:
             assert left + 2 * half < width + 1
 
 
-def test_a_scatter_is_the_same_twice_and_names_its_dots() -> None:
+def test_scatter_is_reproducible_and_names_dots() -> None:
     first, second = (study_charts.scatter(FOUND, points(), 2).markup("E") for _ in range(2))
     assert first == second
     drawing = ElementTree.fromstring(str(first))

@@ -1,4 +1,4 @@
-"""What may be quoted of a study, and what to do next, for every kind of ending."""
+"""Quotable constants and next steps for every kind of ending."""
 
 from dataclasses import replace
 from typing import Any
@@ -34,7 +34,7 @@ def page(identification: Identification | None, **changed: Any) -> Page:
     return Page(render(study_data(results=results(identification=identification, **changed))))
 
 
-def test_what_is_well_determined_is_quoted_and_what_is_not_is_not() -> None:
+def test_quotes_only_well_determined_constants() -> None:
     shown = page(known())
     assert (
         "Quote Efat = 10.1 (9.8 to 10.4) kPa; do not quote ηfat (weakly determined, 46 to 140 kPa)."
@@ -43,7 +43,7 @@ def test_what_is_well_determined_is_quoted_and_what_is_not_is_not() -> None:
     assert shown.row("ηfat")[1:3] == ["93 weakly determined", "46 … 140"]
     assert '<tr class="weak"><td><i>η</i>' in shown.source
     assert "<tr><td><i>E</i>" in shown.source
-    assert "Intervals hold with 90 % and come from the derivatives" in shown.text
+    assert "Intervals are 90 % intervals from the derivatives" in shown.text
     assert "determine ηfat better: palpate diagnose" in shown.text
 
 
@@ -61,11 +61,11 @@ def test_only_ratios() -> None:
     ratio = IdentifiedRatio("eta_fat", "E_fat", 9.19, Interval(9.0, 9.4, 0.9, "tangents"), "value")
     text = page(known("ratio", "ratio", ratios=(ratio,))).text
     assert "Quote ratios only: ηfat / Efat = 9.19." in text
-    assert "State the force of the plates" in text
+    assert "State the plate force" in text
     assert "only its ratio" in text
 
 
-def test_nothing_is_known_of_a_study_without_tangents() -> None:
+def test_study_without_derivatives() -> None:
     text = page(known("unknown", "unknown", note="the simulation had no tangents")).text
     assert "Do not quote Efat and ηfat (no interval is known)." in text
     assert "There are no intervals: the simulation had no tangents." in text
@@ -81,7 +81,7 @@ def test_an_estimate_at_its_bound_is_not_quoted() -> None:
 
 @pytest.mark.parametrize(
     ("state", "said"),
-    [("running", "written again after every generation"), ("interrupted", "palpate run /nowhere")],
+    [("running", "updated after every generation"), ("interrupted", "palpate run /nowhere")],
 )
 def test_an_unfinished_search_is_not_quoted(state: str, said: str) -> None:
     text = page(None, state=state, stop_reason=None).text
@@ -102,7 +102,7 @@ def test_headline_tile_table_and_chart_round_alike() -> None:
     tiles = shown.source[shown.source.index('class="tiles"') :][:900]
     assert "0.890" in tiles
     assert "0.396" in tiles
-    assert "lie 0.396 mm" in shown.text
+    assert "are 0.396 mm" in shown.text
     assert shown.text.count("10.1 kPa") == 1
     charts = "".join(text for d in shown.drawings() for text in d.itertext())
     assert "10.1" in charts

@@ -35,12 +35,12 @@ search:
 
 
 class Here(Dispatcher):
-    """Runs tasks in this process, one after the other."""
+    """A runner of tasks in this process."""
 
     threads = 1
 
     def __init__(self) -> None:
-        """No client is needed."""
+        """Do nothing; no client is needed."""
 
     def call(self, task: Callable[..., Any], *arguments: Any) -> Any:
         return task(*arguments)
@@ -63,7 +63,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 def copied(made: Made, tmp_path: Path) -> Path:
-    """The study, moved to another place together with its store."""
+    """Provide the study, moved together with its store."""
     here = tmp_path / "runs"
     shutil.copytree(made[0].parent, here)
     journal = here / "small" / "journal.jsonl"
@@ -94,7 +94,7 @@ def test_the_report_of_a_study_shows_its_results(made: Made) -> None:
         assert page.row(tissue)[1].endswith(f"→ {score['jc']:.4g}")
 
 
-def test_the_best_volume_is_made_again_from_its_field(made: Made, tmp_path: Path) -> None:
+def test_recomputes_best_volume_from_displacements(made: Made, tmp_path: Path) -> None:
     folder = copied(made, tmp_path)
     whole = write_report(folder).read_bytes()
     assert made[1].best is not None
@@ -111,7 +111,7 @@ def test_a_store_that_moved_with_its_study_is_found(made: Made, tmp_path: Path) 
     assert "Best candidate" in page.text
 
 
-def test_without_its_store_a_study_is_still_told(made: Made, tmp_path: Path) -> None:
+def test_report_without_store(made: Made, tmp_path: Path) -> None:
     folder = copied(made, tmp_path)
     shutil.rmtree(folder.parent / "store")
     page = Page(write_report(folder).read_text())
@@ -120,7 +120,7 @@ def test_without_its_store_a_study_is_still_told(made: Made, tmp_path: Path) -> 
     assert page.row("glandular")[1] != "–"  # the journal has the scores of the best
 
 
-def test_a_target_that_is_gone_is_said(made: Made, tmp_path: Path) -> None:
+def test_reports_missing_target(made: Made, tmp_path: Path) -> None:
     folder = copied(made, tmp_path)
     target = study_target(folder)
     shutil.rmtree(open_store(folder.parent / "store").layout.volume(target))
@@ -134,7 +134,7 @@ def test_a_target_that_is_gone_is_said(made: Made, tmp_path: Path) -> None:
     ("lines", "said"),
     [
         (1, "have not been prepared yet"),
-        (2, "No candidate has a score yet, so there is no best one to show"),
+        (2, "No candidate has a score yet, so there is no best candidate to show"),
         (4, "0 complete generations of 5 candidates"),
         (-1, "Running it again continues it"),
     ],
@@ -150,7 +150,7 @@ def test_a_study_cut_off_anywhere_has_a_report(
     assert "interrupted" in page.text
 
 
-def test_no_study_no_report(tmp_path: Path) -> None:
+def test_rejects_folder_without_study(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="palpate run"):
         write_report(tmp_path)
     assert list(tmp_path.iterdir()) == []

@@ -79,7 +79,7 @@ class _LeastResidual:
     last_potential: float
 
     def followed_by(self, residual_n: float, state: State, potential: float) -> "_LeastResidual":
-        """Return the record after another iteration, at a state with this residual and potential."""
+        """Return the record after another iteration, at a state with this residual."""
         fell = self.last_potential - potential > SMALL_FALL * abs(potential)
         if fell or residual_n < self.residual_n:
             return _LeastResidual(residual_n, state, 0, potential)

@@ -1,4 +1,4 @@
-"""What each key of a file means, from the models that check the files."""
+"""Descriptions of the keys of files, from the models that check the files."""
 
 import inspect
 import re
@@ -11,9 +11,9 @@ _SECTION = re.compile(r"Parameters\n-+\n(?P<body>.*?)(?:\n\n[A-Z]\w+\n-+|\Z)", r
 
 
 def key_descriptions(model: type[BaseModel]) -> dict[str, str]:
-    """Return what the keys of a model mean, by the names of its fields.
+    """Return the descriptions of the keys of a model, by field name.
 
-    A field says it itself, or its class does in the section "Parameters" of the docstring.
+    They come from the field itself, or from the "Parameters" section of the class docstring.
     """
     found: dict[str, str] = {}
     for cls in reversed(model.__mro__):
@@ -25,7 +25,7 @@ def key_descriptions(model: type[BaseModel]) -> dict[str, str]:
 
 
 def described_schema(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the JSON schema of a model, with the meaning of every key."""
+    """Return the JSON schema of a model, with a description of every key."""
     schema = model.model_json_schema()
     named = {one.__name__: one for one in models_in(model)}
     definitions = schema.get("$defs", {})
@@ -38,7 +38,7 @@ def described_schema(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models that a value consists of, itself first."""
+    """Yield the models in an annotation, itself first."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         yield annotation
         for field in annotation.model_fields.values():

@@ -86,7 +86,7 @@ def _wall_compliance(problem: Problem, values: Values, frame: Frame) -> Problem:
 WALL_COMPLIANCE = Effect(
     name="wall_compliance",
     family="boundary",
-    summary="The chest wall gives way where the breast presses on it.",
+    summary="The chest wall yields under the pressure of the breast.",
     parameters=(
         from_zero(
             WALL_COMPLIANCE_NAME,
@@ -111,7 +111,7 @@ WALL_HOLD_NAMES = ("wall_hold_x", "wall_hold_y")
 
 
 def _wall_hold(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Add springs along x and y, in parallel to those of the wall, where it is not held."""
+    """Add springs along x and y where the wall is not held, parallel to its own."""
     wall = problem.wall
     x, y = (
         0.0 if held else values[name]
@@ -276,7 +276,7 @@ def _clamp_compliance(problem: Problem, values: Values, frame: Frame) -> Problem
 CLAMP_COMPLIANCE = Effect(
     name="clamp_compliance",
     family="boundary",
-    summary="The clamp gives way where the body pulls and presses on it.",
+    summary="The clamp yields under the pull and pressure of the body.",
     parameters=(
         from_zero(
             CLAMP_COMPLIANCE_NAME,

@@ -40,7 +40,7 @@ def _gravity_change(problem: Problem, values: Values, frame: Frame) -> Problem:
 GRAVITY_CHANGE = Effect(
     name="gravity_change",
     family="loading",
-    summary="The body lay differently in the two scans, so gravity pulls another way.",
+    summary="The body's posture differs between the scans, so gravity acts in another direction.",
     parameters=tuple(
         two_sided(
             name,
@@ -174,13 +174,13 @@ def _load_scale(problem: Problem, values: Values, frame: Frame) -> Problem:
 LOAD_SCALE = Effect(
     name="load_scale",
     family="loading",
-    summary="The forces are not what was written down: scales, friction, a lever arm.",
+    summary="The forces differ from the stated ones: scales, friction, a lever arm.",
     parameters=(
         two_sided(
             LOAD_SCALE_NAME,
             NUMBER,
             0.3,
-            "ln of the true forces over those stated",
+            "ln of the ratio of true to stated forces",
             reading=ratio("times the stated forces"),
         ),
     ),
@@ -221,13 +221,13 @@ def self_weight(down: Triple) -> Effect:
     return Effect(
         name="self_weight",
         family="loading",
-        summary="The body sags under its own weight, which the model has not.",
+        summary="The body sags under its own weight, which the model lacks.",
         parameters=(
             from_zero(
                 SELF_WEIGHT_NAME,
                 G,
                 1.5,
-                "part of its weight that the body feels",
+                "fraction of the body's weight that acts",
                 reading=Reading(unit="times its weight"),
             ),
         ),
@@ -271,7 +271,7 @@ def added_mass(down: Triple, region: Region) -> Effect:
         summary="Markers, hooks or glue weigh on the loaded place.",
         parameters=(
             from_zero(
-                ADDED_MASS_NAME, GRAM, GRAM.to_inside(50.0), "mass that hangs there in every state"
+                ADDED_MASS_NAME, GRAM, GRAM.to_inside(50.0), "mass attached there in every state"
             ),
         ),
         prior_sd=(GRAM.to_inside(5.0),),

@@ -80,13 +80,13 @@ def _true_inclusion(given: Mapping[str, Any]) -> dict[str, float]:
 INCLUSION = Effect(
     name="inclusion",
     family="local stiffness",
-    summary="There is a lump, harder or softer than the tissue around it.",
+    summary="There is a lump that is harder or softer than the tissue around it.",
     parameters=(
         two_sided(
             RATIO,
             NUMBER,
             2.7,
-            "ln of the lump's stiffness over that of its surroundings",
+            "ln of the ratio of the lump's stiffness to its surroundings'",
             reading=ratio("times as stiff as its surroundings"),
         ),
         *(

@@ -53,7 +53,7 @@ def _compressibility(problem: Problem, values: Values, frame: Frame) -> Problem:
 COMPRESSIBILITY = Effect(
     name="compressibility",
     family="global material",
-    summary="The tissue loses more or less volume under pressure than assumed.",
+    summary="The tissue is more or less compressible than assumed.",
     parameters=(
         Parameter(
             COMPRESSIBILITY_NAME,
@@ -61,7 +61,7 @@ COMPRESSIBILITY = Effect(
             math.log(0.1),
             math.log(5.0),
             0.0,
-            "ln of 1 - 2 nu over that of the model, at the same Young's modulus",
+            "ln of the ratio of 1 - 2 nu to the model's, at the same Young's modulus",
             admissible=ANY,
             reading=poisson(),
         ),
@@ -94,7 +94,7 @@ def _compressibility_contrast(problem: Problem, values: Values, frame: Frame) ->
 COMPRESSIBILITY_CONTRAST = Effect(
     name="compressibility_contrast",
     family="global material",
-    summary="Glandular tissue and fat do not lose the same part of their volume under pressure.",
+    summary="Glandular tissue and fat differ in compressibility.",
     parameters=(
         Parameter(
             COMPRESSIBILITY_CONTRAST_NAME,
@@ -102,7 +102,7 @@ COMPRESSIBILITY_CONTRAST = Effect(
             math.log(0.1),
             math.log(5.0),
             0.0,
-            "ln of 1 - 2 nu of glandular tissue over that of the model",
+            "ln of the ratio of glandular tissue's 1 - 2 nu to the model's",
             admissible=ANY,
             reading=poisson("nu of glandular tissue"),
         ),
@@ -183,7 +183,7 @@ CREEP = Effect(
             CREEP_NAME,
             NUMBER,
             0.5,
-            "part of all moduli that the tissue has lost",
+            "fraction of all moduli that the tissue has lost",
             limit=1.0,
             reading=percent("% of the stiffness lost"),
         ),
@@ -234,7 +234,7 @@ FIBRE_CONTRAST = Effect(
             FIBRE_CONTRAST_NAME,
             NUMBER,
             2.0,
-            "ln of the stiffness of glandular fibres over that of the model",
+            "ln of the ratio of glandular fibre stiffness to the model's",
             reading=ratio("times as stiff as the model's fibres"),
         ),
     ),
@@ -416,7 +416,7 @@ REFERENCES = (
 SKIN_ADDED = Effect(
     name="skin_added",
     family="global material",
-    summary="The skin adds a stiffness that the model does not have.",
+    summary="The skin adds a stiffness that the model lacks.",
     parameters=(
         from_zero(
             ADDED, N_PER_M, N_PER_M.to_inside(5000.0), "E t of the skin on top of the model's"
@@ -439,7 +439,7 @@ SKIN_SCALED = Effect(
             FACTOR,
             NUMBER,
             1.5,
-            "ln of E t of the skin over that of the model",
+            "ln of the ratio of the skin's E t to the model's",
             reading=ratio("times as stiff as the model's skin"),
         ),
     ),

@@ -89,8 +89,8 @@ def _frame_turn_columns(
 FRAME_TURN = Effect(
     name="frame_turn",
     family="observation",
-    summary="The cameras' frame is turned against the body's: markers are not where they "
-    "are believed to be at rest.",
+    summary="The cameras' frame is turned against the body's: the assumed marker "
+    "positions at rest are wrong.",
     parameters=tuple(
         two_sided(n, DEGREE, 5.0, f"turn of the observed displacements about {n[-1]}")
         for n in FRAME_TURN_TURNS
@@ -137,7 +137,7 @@ IMAGE_SCALE = Effect(
             name,
             NUMBER,
             0.05,
-            f"how much larger they show the body along {name[-1]}",
+            f"relative enlargement of the body along {name[-1]}",
             reading=percent(f"% larger along {name[-1]}"),
         )
         for name in IMAGE_SCALE_NAMES
@@ -184,7 +184,7 @@ IMAGE_SHEAR = Effect(
             name,
             NUMBER,
             0.05,
-            f"how far they are moved along {name[-2]} by 1 mm of {name[-1]}",
+            f"shift along {name[-2]} per mm of {name[-1]}",
             reading=Reading(unit=f"mm along {name[-2]} for each mm of {name[-1]}"),
         )
         for name in IMAGE_SHEAR_NAMES
@@ -222,7 +222,7 @@ SEGMENTATION_OFFSET = Effect(
             f"segmentation_{tissue.name.lower()}",
             MM,
             2.0,
-            f"how far the labels of {tissue.name.lower()} reach beyond its true boundary",
+            f"distance by which the labels of {tissue.name.lower()} exceed its true boundary",
         )
         for tissue in TISSUES
     ),
@@ -256,7 +256,7 @@ def _marker_standoff_columns(
 MARKER_STANDOFF = Effect(
     name="marker_standoff",
     family="observation",
-    summary="The markers stand off the surface and swing out as it turns.",
+    summary="The markers are off the surface and swing out as it turns.",
     parameters=(
         from_zero(MARKER_STANDOFF_NAME, MM, 15.0, "height of the markers above the surface"),
     ),

@@ -44,7 +44,7 @@ def _tables(path: Path) -> list[Table]:
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is no text in UTF-8: {error}. Save it as CSV.") from error
+        raise InputError(f"{path} is not UTF-8 text: {error}. Save it as CSV.") from error
     kept = [
         (n, line) for n, line in enumerate(lines, 1) if line.strip() and line.lstrip()[0] != "#"
     ]

@@ -68,7 +68,7 @@ class Scratch(NamedTuple):
     z : ndarray, shape (4, LANES)
         Gradients along the fibre.
     block : ndarray, shape (3, 3, LANES), and own : ndarray, shape (4, 3, 3, LANES)
-        The block of one pair of corners, and those of each corner with itself.
+        The block of one pair of corners, and the diagonal blocks of all corners.
     out : ndarray, shape (4, 3, LANES)
         Force on the corners.
     lines : ndarray, shape (LANES, 192)

@@ -65,7 +65,7 @@ class Device:
             )
         if not np.linalg.norm(np.cross(self.axis, (0.0, 0.0, 1.0))) > 1e-6:
             raise InputError(
-                f"The axis of compression must not lie along z, which runs from chest wall "
+                f"The axis of compression must not be along z, which runs from chest wall "
                 f"to nipple; got {self.axis}."
             )
 
@@ -235,6 +235,6 @@ def _check_plates(lower_mm: float, upper_mm: float) -> None:
     """Refuse plates in the wrong order."""
     if not upper_mm > lower_mm:
         raise InputError(
-            f"The upper plate ({upper_mm:g} mm along the axis) must lie above the lower one "
+            f"The upper plate ({upper_mm:g} mm along the axis) must be above the lower one "
             f"({lower_mm:g} mm)."
         )

@@ -244,4 +244,4 @@ def _check(model: LevelModel, problem: Problem) -> None:
     tissues = [Tissue(int(t)) for t in present]
     missing = [t.name.lower() for t in tissues if t not in problem.constants]
     if missing:
-        raise InputError(f"The mesh contains {', '.join(missing)}, but has no constants for it.")
+        raise InputError(f"The mesh contains {', '.join(missing)}, but no constants for it.")

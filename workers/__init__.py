@@ -1,13 +1,13 @@
-"""What turns a candidate into a number.
+"""Workers: evaluation of a candidate.
 
-One evaluation uses one thread: evaluations run side by side, and a BLAS that
-spins up threads for vectors this short makes a solve two to three times slower.
+One evaluation uses one thread: evaluations run in parallel, and a BLAS that
+starts threads for vectors this short makes a solve two to three times slower.
 The variables are read when NumPy loads, so they are set before anything else.
 
-Volumes and element arrays come and go thousands of times in an evaluation. glibc
-gives their memory back at once, Dask has it do so from 64 kB on, and the kernel then
-clears every page anew: 13 % of the time of a study of 5000 nodes, 5 % with these.
-glibc reads these two when a process starts.
+Volumes and element arrays are allocated thousands of times in an evaluation. glibc
+returns their memory at once (under Dask from 64 kB on), and the kernel then clears
+every page again: 13 % of the time of a study of 5000 nodes, 5 % with the two settings
+below, which glibc reads when a process starts.
 """
 
 import os
@@ -18,7 +18,7 @@ WORKER_ENVIRONMENT = {
     "MKL_NUM_THREADS": "1",
     "NUMBA_NUM_THREADS": "1",
     "VECLIB_MAXIMUM_THREADS": "1",
-    "MALLOC_MMAP_THRESHOLD_": str(32 * 1024**2),  # the most that glibc takes
+    "MALLOC_MMAP_THRESHOLD_": str(32 * 1024**2),  # the maximum accepted by glibc
     "MALLOC_TRIM_THRESHOLD_": str(256 * 1024**2),
 }
 

@@ -1,6 +1,6 @@
-"""Define the options with which all kernels are compiled by numba.
+"""Numba options of all kernels.
 
-They are kept on disk, release the GIL and are compiled when they are first called.
+Kernels are cached on disk, release the GIL and are compiled at their first call.
 
 ==================  ===================================================================
 `EXACT`             every operation rounds as written: whole numbers, labels, meshes
@@ -10,9 +10,8 @@ They are kept on disk, release the GIL and are compiled when they are first call
                     sign: elements, distances, products with matrices
 ==================  ===================================================================
 
-Numba compiles a kernel again when the file of that kernel changes. A change of this file,
-or of a kernel that is called from another file, it does not notice: delete the
-``__pycache__`` folders then.
+Numba recompiles a kernel when its file changes, but not when this file or a kernel that it
+calls from another file changes: then delete the ``__pycache__`` folders.
 """
 
 from typing import Any, Final

@@ -1,4 +1,4 @@
-"""YAML and JSON documents of plain values, in which no key is repeated.
+"""YAML and JSON documents of plain values without repeated keys.
 
 Both parsers keep the last of two equal keys and silently drop the first, so a force that
 was typed twice would be halved or doubled. Every file, upload and request is
@@ -16,21 +16,21 @@ from palpate.storage.errors import InputError
 
 DEEPEST = 100
 MOST_NODES = 2_000_000
-"""Values of a document, with aliases written out."""
+"""Most values of a document, with aliases expanded."""
 LARGEST_INT = 2**63 - 1
-"""Seeds of blind cases have so many bits."""
+"""Number of bits of the seeds of blind cases."""
 _TAG = "tag:yaml.org,2002:"
 _MERGE, _DATE = f"{_TAG}merge", f"{_TAG}timestamp"
 _PLAIN = {f"{_TAG}{kind}" for kind in ("null", "bool", "int", "float", "str", "seq", "map")}
-_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster where there is C
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster with libyaml
 
 
 class _RepeatedKeyError(Exception):
-    """A key that is repeated, and where."""
+    """Repeated key, with its place."""
 
 
 class StrictLoader(_Loader):
-    """Safe YAML of plain values that refuses a repeated key."""
+    """Loader of safe YAML with plain values that refuses repeated keys."""
 
     yaml_constructors = {  # noqa: RUF012 - as in its base class
         tag: make for tag, make in _Loader.yaml_constructors.items() if tag is None or tag in _PLAIN
@@ -46,7 +46,7 @@ class StrictLoader(_Loader):
         for key_node, _ in node.value:
             if key_node.tag == _MERGE or not isinstance(key_node, yaml.ScalarNode):
                 continue
-            # 1 and "1" are one key to whatever reads them next.
+            # 1 and "1" are the same key for later readers.
             key, line = str(self.construct_object(key_node)), key_node.start_mark.line + 1
             if key in lines:
                 raise _RepeatedKeyError(_repeated(key, f"in lines {lines[key]} and {line}"))
@@ -66,7 +66,7 @@ StrictLoader.add_constructor(f"{_TAG}int", StrictLoader.construct_yaml_int)
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """Parse YAML, of which most JSON is a part.
+    """Parse YAML, which includes most JSON.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def parse_yaml(text: str, where: str) -> Any:
 
 
 def _check_size(text: str, where: str) -> None:
-    """Raise InputError for a document that is nested too deeply, or too large written out."""
+    """Raise InputError for a document nested too deeply, or too large when expanded."""
     sizes: dict[str, int] = {}
     open_nodes: list[tuple[str | None, int]] = []
     nodes = 0
@@ -111,8 +111,8 @@ def _check_size(text: str, where: str) -> None:
             raise InputError(f"{where} is nested too deeply.")
         if nodes > MOST_NODES:
             raise InputError(
-                f"{where} holds more than {MOST_NODES:,} values once its aliases (*) are written "
-                "out. Write the values that are meant, without aliases."
+                f"{where} contains more than {MOST_NODES:,} values after its aliases (*) are "
+                "expanded. Write the values themselves, without aliases."
             )
 
 

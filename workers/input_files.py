@@ -1,11 +1,11 @@
-"""Files that a user brings: opened, resolved and explained in one place.
+"""Safe access to input files, with messages for users.
 
-A path may lead to a pipe that never ends or to a device, a file may name other files, and a
-damaged file makes a parser raise nearly anything. Readers use
+A path may refer to an endless pipe or a device, a file may name other files, and parsers raise
+almost any exception on damaged files. Readers use
 
 - `read_bytes` and `read_text`, which open regular files of a limited size,
 - `named_by` for each file that another file names,
-- `reading`, which turns any exception into one message.
+- `reading`, which converts any exception to one message.
 """
 
 import errno
@@ -25,13 +25,13 @@ MIB = 2**20
 TEXT_BYTES = 16 * MIB
 """Largest document: a study, a case, an experiment or a file of labels."""
 _REASON = 300
-"""Characters of a library's own message that are shown."""
+"""Most characters to show of a library's message."""
 _allowed: ContextVar[Path | None] = ContextVar("folder that files may be in", default=None)
 
 
 @contextmanager
 def confined_to(folder: Path) -> Iterator[None]:
-    """Refuse, within the context, every input file outside of a folder."""
+    """Refuse input files outside a folder, within the context."""
     token = _allowed.set(folder.resolve())
     try:
         yield
@@ -45,13 +45,13 @@ def named_by(path: Path, name: str) -> Path:
     Parameters
     ----------
     path : Path
-        The file that names it.
+        File that contains the name.
     name : str
 
     Raises
     ------
     InputError
-        If it is outside of the folder that input is confined to, or cannot be a path.
+        If it is outside the folder that input is confined to, or is not a valid path.
     """
     if "\0" in name:
         raise InputError(f"{path} names a file {name[:60]!r}, which cannot be the name of a file.")
@@ -61,7 +61,7 @@ def named_by(path: Path, name: str) -> Path:
 
 
 def check_allowed(path: Path, what: str = "") -> None:
-    """Raise InputError if a path is outside of the folder that input is confined to."""
+    """Raise InputError if a path is outside the folder that input is confined to."""
     folder = _allowed.get()
     if folder is not None and not path.resolve().is_relative_to(folder):
         raise InputError(
@@ -78,7 +78,7 @@ def check_regular(path: Path) -> None:
     check_allowed(path)
     try:
         mode = path.stat().st_mode
-    except (OSError, ValueError):  # what is missing is explained by the reader
+    except (OSError, ValueError):  # the reader explains missing files
         return
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise InputError(
@@ -88,12 +88,12 @@ def check_regular(path: Path) -> None:
 
 
 def read_bytes(path: Path, most_bytes: int) -> bytes:
-    """Return the content of a regular file.
+    """Read the content of a regular file.
 
     Raises
     ------
     InputError
-        If it is no regular file, or larger than `most_bytes`.
+        If it is not a regular file, or is larger than `most_bytes`.
     OSError
         If it cannot be read.
     """
@@ -111,26 +111,26 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
 
 
 def read_text(path: Path, encoding: str = "utf-8-sig", most_bytes: int = TEXT_BYTES) -> str:
-    """Return the text of a document; see `read_bytes`.
+    """Read the text of a document; see `read_bytes`.
 
     Raises
     ------
     UnicodeDecodeError
-        If it is no text in that encoding.
+        If it is not text in that encoding.
     """
     return read_bytes(path, most_bytes).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
 @contextmanager
 def reading(path: Path | str, kind: str) -> Iterator[None]:
-    """Raise `InputError` for whatever goes wrong while input is read and checked.
+    """Convert any exception while input is read and checked to `InputError`.
 
     Parameters
     ----------
     path : Path or str
-        The file, for the message.
+        File, for the message.
     kind : str
-        Such as ``"NRRD"`` or ``"an experiment"``.
+        Kind of file, such as ``"NRRD"`` or ``"an experiment"``.
     """
     try:
         yield
@@ -144,9 +144,9 @@ def reading(path: Path | str, kind: str) -> Iterator[None]:
         ) from error
     except RecursionError as error:
         raise InputError(f"{path} is nested too deeply to be {kind}.") from error
-    except Exception as error:  # parsers raise nearly anything on damaged input
+    except Exception as error:  # parsers raise almost anything on damaged input
         _log.debug("Reading %s has failed.", path, exc_info=True)
-        if isinstance(error, OSError) and error.strerror:  # others are those of decompressors
+        if isinstance(error, OSError) and error.strerror:  # decompressors raise some without
             raise InputError(f"{path} cannot be read as {kind}: {error.strerror}.") from error
         raise InputError(
             f"{path} cannot be read as {kind}: {reason_of(error)}. It is damaged, cut short or "
@@ -155,10 +155,10 @@ def reading(path: Path | str, kind: str) -> Iterator[None]:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return the message of an exception on one line, shortened, or else its kind."""
+    """Return the message of an exception on one line, shortened, or else its type."""
     try:
         text = " ".join(str(error).split())
-    except ValueError:  # it holds a number of too many digits
+    except ValueError:  # it contains a number with too many digits
         text = ""
     text = text if len(text) <= _REASON else f"{text[:_REASON]} ..."
     return (text or type(error).__name__).rstrip(".")

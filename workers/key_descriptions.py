@@ -25,7 +25,7 @@ def key_descriptions(model: type[BaseModel]) -> dict[str, str]:
 
 
 def described_schema(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the JSON schema of a model, with the meaning of every key."""
+    """Return the JSON schema of a model, with a description of every key."""
     schema = model.model_json_schema()
     named = {one.__name__: one for one in models_in(model)}
     definitions = schema.get("$defs", {})
@@ -38,7 +38,7 @@ def described_schema(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models that a value consists of, itself first."""
+    """Yield the models in an annotation, itself first."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         yield annotation
         for field in annotation.model_fields.values():

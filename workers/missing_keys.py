@@ -13,18 +13,18 @@ from pydantic_core import PydanticCustomError
 
 MISSING = "missing"
 Pairs = tuple[tuple[str, ...], ...]
-"""Pairs, or more, of keys of which exactly one has to be given."""
+"""Groups of keys of which exactly one must be given."""
 
 
 def missing(text: str) -> PydanticCustomError:
-    """Return the error of a model in which something required is left out."""
+    """Return the validation error for missing required input."""
     return PydanticCustomError(MISSING, "{text}", {"text": text})
 
 
 def without_empty_keys(model: type[BaseModel], data: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Return `data` without the empty keys that have no meaning as null.
+    """Return `data` without empty keys for which null has no meaning.
 
-    An empty optional key then has its default, and an empty required key is missing.
+    An empty optional key then gets its default, and an empty required key counts as missing.
     """
     nullable = _nullable_fields(model)
     return {key: v for key, v in data.items() if v is not None or key in nullable}
@@ -36,7 +36,7 @@ def is_missing(error: Mapping[str, Any]) -> bool:
 
 
 def missing_text(error: Mapping[str, Any], model: type[BaseModel]) -> str:
-    """Return one line for a required key that is left out or empty."""
+    """Return one line about a missing or empty required key."""
     text = error.get("ctx", {}).get("text")
     if text is not None:
         return str(text)
@@ -45,7 +45,7 @@ def missing_text(error: Mapping[str, Any], model: type[BaseModel]) -> str:
 
 
 def description_at(model: type[BaseModel], loc: Sequence[str | int]) -> str:
-    """Return the description of the last field on a path that has one, or "".
+    """Return the last description of a field on a path, or "".
 
     Examples
     --------
@@ -78,9 +78,9 @@ def _walk(model: type[BaseModel], loc: Sequence[str | int]) -> tuple[type[BaseMo
 def missing_pairs(
     model: type[BaseModel], data: Mapping[Any, Any], empty: Collection[str] = ()
 ) -> list[str]:
-    """Return a line for each pair of `model.exactly_one` of which `data` holds neither key.
+    """Return a line for each group of `model.exactly_one` without a key in `data`.
 
-    `empty` are keys that the file has without a value: of a pair the user meant these.
+    `empty` are keys without a value in the file, the ones that the user probably meant.
     """
     pairs: Pairs = getattr(model, "exactly_one", ())
     return [
@@ -91,10 +91,10 @@ def missing_pairs(
 
 
 def errors_with_pairs(error: ValidationError, model: type[BaseModel]) -> list[Mapping[str, Any]]:
-    """Return the errors of pydantic, with the missing pairs of records that lack other keys too.
+    """Return the errors of pydantic, including missing groups of otherwise incomplete records.
 
-    Pydantic checks the pairs of a record when all of its fields are there, but a user wants to
-    read once what is missing. A list that is short because its items are wrong is no error.
+    Pydantic checks these groups only when all fields of a record are present, but a user wants
+    one complete list. A list that is too short only because its items are invalid is not an error.
     """
     found: list[Mapping[str, Any]] = [dict(e) for e in error.errors(include_url=False)]
     places = [e["loc"] for e in found]
@@ -116,7 +116,7 @@ def _has_more(place: tuple[Any, ...], places: Sequence[tuple[Any, ...]]) -> bool
 
 
 def one_of(keys: Sequence[str]) -> str:
-    """Return the demand for exactly one of some keys.
+    """Return the request for exactly one of some keys.
 
     Examples
     --------

@@ -1,6 +1,6 @@
-"""Old names of keys, which files may still use. Every file has the names of a study.
+"""Old names of keys, which files may still use instead of the names of a study.
 
-A record in a store keeps the names that it was written with, because its digest depends on them;
+A record in a store keeps its original names, because its digest depends on them;
 `with_current_names` reads both, and `with_recorded_names` writes the old ones.
 """
 
@@ -21,21 +21,21 @@ DIAGNOSIS: Final[Mapping[str, str]] = MappingProxyType(
         "constants.eta_kpa": "constants.eta_fat_kpa",
     }
 )
-"""Keys of a diagnosis, by their old names; ``[]`` stands for each entry of a list."""
+"""Keys of a diagnosis, by their old names; ``[]`` means each entry of a list."""
 
 SAME_FIBRES: Final = {"eta_glandular_kpa": "eta_fat_kpa"}
-"""What stands beside ``eta_fat_kpa`` where one value, once ``eta_kpa``, is that of both tissues."""
+"""Addition to ``eta_fat_kpa`` if one value, formerly ``eta_kpa``, applies to both tissues."""
 
 
 def with_current_names(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
-    """Return the keys of a diagnosis by their current names.
+    """Return a diagnosis with the current names of its keys.
 
     Parameters
     ----------
     data : mapping
         As read from YAML or JSON; it is not changed.
     where : str, optional
-        The file, for a note in the log on each old name. None is made for a record of a store.
+        Name of the file, for a log message about each old name; records of a store get none.
     """
     tree = _copied(data)
     for old, new in DIAGNOSIS.items():
@@ -51,7 +51,7 @@ def with_current_names(data: Mapping[str, Any], where: str = "") -> dict[str, An
 
 
 def with_recorded_names(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of a diagnosis by the names that its record has in a store."""
+    """Return a diagnosis with the names used by its record in a store."""
     tree = _copied(data)
     constants = tree["constants"]
     same = all(constants.get(key) == value for key, value in SAME_FIBRES.items())
@@ -66,7 +66,7 @@ def with_recorded_names(data: Mapping[str, Any]) -> dict[str, Any]:
 
 @cache
 def _note(where: str, old: str, text: str) -> None:
-    """Write a note once."""
+    """Log a note once."""
     _log.warning("%s: %s is now called %s. The old name is still read.", where, old, text)
 
 

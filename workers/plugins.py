@@ -5,7 +5,7 @@ Each is an entry point of an installed distribution, Palpate's own among them::
     [project.entry-points."palpate.effects"]
     swelling = "my_lab.swelling:SWELLING"
 
-A plug-in is imported when it is first asked for.
+A plug-in is imported at its first use.
 """
 
 from collections.abc import Iterable, Iterator
@@ -24,16 +24,16 @@ OWN = "palpate"
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
-    """An object that a distribution offers by name.
+    """Named object provided by a distribution.
 
     Parameters
     ----------
     group : Group
     name : str
     module, attribute : str
-        Where the object is.
+        Location of the object.
     distribution, version : str
-        Who offers it.
+        Distribution that provides it.
     """
 
     group: Group
@@ -45,12 +45,12 @@ class Plugin:
 
     @property
     def is_own(self) -> bool:
-        """Whether Palpate itself offers it."""
+        """Whether it is Palpate's own."""
         return self.distribution == OWN
 
     @property
     def words(self) -> str:
-        """Its name and origin, for a message."""
+        """Name and origin, for a message."""
         return f"{self.name} ({self.group}) of {self.distribution} {self.version}"
 
     def load(self) -> Any:
@@ -77,7 +77,7 @@ def plugins(group: Group) -> dict[str, Plugin]:
     Raises
     ------
     InputError
-        If two distributions offer the same name.
+        If two distributions provide the same name.
     """
     found: dict[str, Plugin] = {}
     for plugin in sorted(_installed(group), key=lambda p: (not p.is_own, p.name)):
@@ -92,7 +92,7 @@ def plugins(group: Group) -> dict[str, Plugin]:
 
 
 def plugin(group: Group, name: str) -> Plugin:
-    """Return one plug-in.
+    """Return the plug-in with this name.
 
     Raises
     ------
@@ -112,14 +112,14 @@ def load(group: Group, name: str) -> Any:
 
 
 def foreign_plugins() -> tuple[Plugin, ...]:
-    """Return the plug-ins that other distributions offer, of all groups."""
+    """Return the plug-ins of other distributions, of all groups."""
     return tuple(p for g in get_args(Group) for p in plugins(g).values() if not p.is_own)
 
 
 def lacking_plugins(wanted: Iterable[Plugin]) -> list[str]:
     """Return descriptions of the plug-ins that this process lacks; sent to workers.
 
-    Another version counts as lacking, because its results may differ.
+    Another version counts as missing, because its results may differ.
     """
     lacking = []
     for plugin in wanted:

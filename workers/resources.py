@@ -1,7 +1,7 @@
 """Resources of a worker process: one thread for each evaluation, and a bounded cache.
 
-The only file of this package that knows Dask. Everything works the same in a
-process that is no Dask worker.
+This is the only module of the package that uses Dask. It works the same in other processes
+than Dask workers.
 """
 
 import logging
@@ -30,16 +30,16 @@ CACHE_BYTES = 2 * 1024**3
 class OneThread(WorkerPlugin):
     """A worker plug-in that limits libraries to one thread.
 
-    Register it with ``client.register_plugin(OneThread())``. It comes in time for
-    numba, but not for the BLAS of NumPy, which Dask itself loads: a worker that
-    starts without `WORKER_ENVIRONMENT` logs a warning.
+    Register it with ``client.register_plugin(OneThread())``. It takes effect for numba, but
+    too late for the BLAS of NumPy, which Dask itself loads: a worker started without
+    `WORKER_ENVIRONMENT` logs a warning.
     """
 
     name = "palpate-one-thread"
     idempotent = True
 
     def setup(self, worker: Worker) -> None:
-        """Set the variables; Dask calls this on every worker, also on those that join later."""
+        """Set the variables; Dask calls this on every worker, including later ones."""
         if os.environ.get("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS")) != "1":
             _log.warning(
                 "The worker %s was started without OMP_NUM_THREADS=1 and OPENBLAS_NUM_THREADS=1: "
@@ -50,7 +50,7 @@ class OneThread(WorkerPlugin):
 
 
 def worker_name() -> str:
-    """Return the Dask worker that runs this code, or host and process id outside of one."""
+    """Return the name of the Dask worker that runs this code, or else host and process id."""
     try:
         return str(get_worker().name)
     except ValueError:
@@ -63,12 +63,12 @@ class Cache:
     Parameters
     ----------
     capacity_bytes : int
-        The least recently used values leave while the arrays of all take more than
-        this; the newest stays, whatever its size.
+        Limit of the total size of all arrays; the least recently used values are evicted
+        above it. The newest value is kept, whatever its size.
 
     Notes
     -----
-    Safe for threads: a value is made once, whoever asks first.
+    Thread-safe: each value is computed only once.
     """
 
     def __init__(self, capacity_bytes: int = CACHE_BYTES) -> None:
@@ -78,7 +78,7 @@ class Cache:
         self._lock = threading.Lock()
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return the value of `key`, made by `make` unless it is here."""
+        """Return the value of `key`, computed by `make` unless it is cached."""
         with self._lock:
             if key in self._values:
                 self._values.move_to_end(key)
@@ -117,13 +117,13 @@ class Cache:
 
 
 CACHE = Cache()
-"""The cache of this process."""
+"""Cache of this process."""
 
 
 def size_bytes(value: object) -> int:
-    """Count the bytes of all arrays within a value: dataclasses, containers, functions, objects.
+    """Return the bytes of all arrays in a value: dataclasses, containers, functions, objects.
 
-    An array that is held twice is counted once.
+    An array that occurs twice is counted once.
     """
     counted: set[int] = set()
     total = 0
@@ -154,7 +154,7 @@ def _parts(item: object) -> Iterable[object]:
         return [cell.cell_contents for cell in cells if cell != CellType()]
     if isinstance(item, MethodType):
         return (item.__self__,)
-    # Values that are computed when they are first asked for are no fields.
+    # Lazily computed values are not fields.
     found = list(vars(item).values()) if hasattr(item, "__dict__") else []
     if is_dataclass(item):
         found += [getattr(item, field.name) for field in fields(item)]

@@ -1,8 +1,7 @@
-"""Threads that solve the scans of one body side by side.
+"""Threads that solve the scans of one body in parallel.
 
-Kernels release the lock of the interpreter, and a scan needs nothing of another one. While a
-diagnosis has fewer tasks than the cluster has threads, this keeps the others busy; no result
-depends on it.
+Kernels release the GIL, and scans are independent of each other. While a diagnosis has fewer
+tasks than the cluster has threads, this uses the idle ones; no result depends on it.
 """
 
 import os
@@ -12,17 +11,17 @@ from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 Each: TypeAlias = Callable[..., Iterable[Any]]
-"""Calls a function with the items of some sequences of one length, as `map` does."""
+"""Function that calls another with the items of sequences of equal length, like `map`."""
 
 
 @contextmanager
 def scan_threads(threads: int) -> Iterator[Each]:
-    """Give what calls a function with every scan, at most so many at a time.
+    """Provide a `map` over scans that uses at most so many threads.
 
     Parameters
     ----------
     threads : int
-        More than this machine has cores do not help, and are not taken.
+        Number of threads, limited to the number of cores.
     """
     threads = min(threads, os.cpu_count() or 1)
     if threads < 2:

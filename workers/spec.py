@@ -1,8 +1,8 @@
-"""What every study states, whichever organ it is about, checked at the door.
+"""Keys of a study that are common to all organs, and their validation.
 
-Every key carries its unit. An unknown key is refused with the nearest known one;
-`explain` turns what pydantic found into a text for the user, and `validated`
-raises it as an `InputError`. The keys of one organ stand in its own ``spec.py``.
+The unit is part of every key. An unknown key is refused with a suggestion; `explain`
+converts pydantic's errors to a text for the user, and `validated` raises it as an
+`InputError`. The keys of one organ are in its own ``spec.py``.
 """
 
 import reprlib
@@ -39,7 +39,7 @@ from palpate.workers.plugins import Group, plugin
 
 
 def checked(check: Callable[[Any], object]) -> AfterValidator:
-    """Return a validator that shows what `check` raises together with the place of the key."""
+    """Return a validator that reports errors raised by `check` with the path of the key."""
 
     def validate(given: Any) -> Any:
         try:
@@ -52,7 +52,7 @@ def checked(check: Callable[[Any], object]) -> AfterValidator:
 
 
 def checked_name(group: Group, name: str) -> str:
-    """Return the name of a plug-in that is known; a validator's error else."""
+    """Return the name of a known plug-in, or else raise a validation error."""
     try:
         return plugin(group, name).name
     except InputError as error:
@@ -64,15 +64,15 @@ Identifiable = Literal["absolute", "ratio"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-# Names of studies and of stored images; they become names of files.
+# Names of studies and of stored images, which become file names.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 LawName = Annotated[str, AfterValidator(lambda name: checked_name("laws", name))]
 
 
 class Door(BaseModel):
-    """A frozen record that refuses unknown keys; an empty key counts as left out.
+    """Frozen record that refuses unknown keys; an empty key counts as missing.
 
-    Of each pair, or more, in `exactly_one` one key has to be given.
+    Exactly one key of each group in `exactly_one` must be given.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -104,15 +104,15 @@ class Door(BaseModel):
 
     @classmethod
     def record_for(cls, data: Any) -> "type[Door]":
-        """Return the class whose keys `data` has: this one, if no subclass knows better."""
+        """Return the class for the keys of `data`: this one, unless overridden."""
         return cls
 
 
 class CaseSpec(Door):
-    """A body, its mesh, its model and its load: the base of every organ's case.
+    """Body, mesh, model and load: the base of every organ's case.
 
-    ``constants`` are those that are not searched; what is missing there keeps its
-    neutral value.
+    ``constants`` holds the constants that are not searched; missing ones keep their
+    neutral values.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class CaseSpec(Door):
     constants: dict[str, float] = Field(default_factory=dict)
 
     law_tissues: ClassVar[tuple[str, ...]] = ()
-    """The tissues for which a case chooses a law of `workers.mechanics.materials.law_plugins`."""
+    """Tissues for which a case chooses a law of `workers.mechanics.materials.law_plugins`."""
 
     def __repr__(self) -> str:
         held = [f"{name} {value:.4g}" for name, value in self.constants.items()]
@@ -138,21 +138,21 @@ class CaseSpec(Door):
     @property
     @abstractmethod
     def parameters(self) -> Vocabulary:
-        """Return what a study of this case can search or hold."""
+        """Return the parameters that a study of this case can search or hold."""
 
     @property
     def vocabulary(self) -> Vocabulary:
-        """Return everything that `complete` gives a value."""
+        """Return all parameters that `complete` sets."""
         return self.parameters
 
     @property
     def plugged_modules(self) -> Sequence[str]:
-        """Return the modules of the plug-ins that the case chooses, on which results depend."""
+        """Return the modules of the case's plug-ins, on which results depend."""
         return ()
 
     @abstractmethod
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
-        """Return every constant, inside names and units: given, then the case's, then neutral.
+        """Return all constants in inside names and units: given, else the case's, else neutral.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class CaseSpec(Door):
         """
 
     def understood(self, searched: Collection[str]) -> list[tuple[str, str]]:
-        """Return names and texts of the physics that a study rests on, defaults included.
+        """Return names and texts of the physical assumptions of a study, including defaults.
 
         Parameters
         ----------
@@ -171,7 +171,7 @@ class CaseSpec(Door):
         return []
 
     def unstated_load(self, searched: Collection[str]) -> str:
-        """Return the keys of the load that this case leaves to a default, or "".
+        """Return the keys of the load for which this case uses defaults, or "".
 
         Parameters
         ----------
@@ -182,15 +182,15 @@ class CaseSpec(Door):
 
     @property
     def mesh_nodes(self) -> int | None:
-        """Return about how many nodes the mesh has; None where the case does not say."""
+        """Return the approximate number of nodes of the mesh; None if the case does not set it."""
         return None
 
     def canonical(self, genes: Mapping[str, float]) -> dict[str, float]:
-        """Return parameters at the door such that equal models have equal ones."""
+        """Return the parameters in canonical form, equal for equal models."""
         return dict(genes)
 
     def identifiable(self, searched: Collection[str]) -> Identifiable:
-        """Return whether the load tells stiffnesses or only their ratios.
+        """Return the level of identifiability: stiffnesses, or only their ratios.
 
         Parameters
         ----------
@@ -200,9 +200,9 @@ class CaseSpec(Door):
         return "absolute"
 
     def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
-        """Return the searched stiffnesses that can all grow by one factor without any effect.
+        """Return the searched stiffnesses whose common factor has no effect.
 
-        Of these only ratios can be found. None by default.
+        Only their ratios are identifiable. None by default.
 
         Parameters
         ----------
@@ -212,28 +212,28 @@ class CaseSpec(Door):
         return ()
 
     def unused_parameter(self, name: str) -> str:
-        """Return why a parameter of the organ cannot be searched in this case, or ""."""
+        """Return the reason why a parameter cannot be searched in this case, or ""."""
         return ""
 
 
 class TargetSpec(Door):
-    """The deformed body to be explained: simulated with hidden constants, or imaged."""
+    """Deformed body to match: simulated with hidden constants, or imaged."""
 
     constants: dict[str, float] | None = None
 
     @property
     def is_image(self) -> bool:
-        """Return whether the deformed body was imaged, not simulated."""
+        """Whether the deformed body was imaged, not simulated."""
         return self.constants is None
 
     @property
     def is_aligned(self) -> bool:
-        """Return whether an image is moved into the frame of the undeformed body first."""
+        """Whether an image is first aligned with the undeformed body."""
         return False
 
 
 class ScoreSpec(Door):
-    """What is compared, and the number that the search optimises: the base of every organ's score.
+    """Compared parts, and the search's objective: the base of every organ's score.
 
     ``objective`` names a score of `workers.comparison.similarity.objective`.
     """
@@ -249,23 +249,23 @@ class ScoreSpec(Door):
 
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what older studies do not have, or their digests would change."""
+        """Omit keys that older studies do not have, to keep their digests."""
         values: dict[str, Any] = handler(self)
         return {k: v for k, v in values.items() if (k, v) != ("objective", DEFAULT_OBJECTIVE)}
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Return the names of the parts that are compared, as `Organ.scores_by_part` has them."""
+        """Return the names of the compared parts, as in `Organ.scores_by_part`."""
         return ()
 
     @property
     def compared(self) -> str:
-        """Return what is compared, in words: ``glandular tissue``."""
+        """Return the compared parts in words: ``glandular tissue``."""
         return " and ".join(self.parts)
 
     @property
     def extent(self) -> tuple[str, str]:
-        """Return what is shared and what lies apart, in words."""
+        """Return the words for overlap and for distance."""
         return "area", "contours"
 
 
@@ -273,21 +273,21 @@ Record = TypeVar("Record", bound=BaseModel)
 
 
 def validated(model: type[Record], data: Any, where: str = "") -> Record:
-    """Return `data` as a checked `model`.
+    """Validate `data` as a `model`.
 
     Parameters
     ----------
     model : type
-        A record of this file, or of the study.
+        Record of this module, or of the study.
     data : mapping
-        As read from YAML or JSON.
+        Content of YAML or JSON.
     where : str, optional
-        What the data are, for the message: the name of the file.
+    Name of the file, for the message.
 
     Raises
     ------
     InputError
-        Naming every wrong key with what was found and what was expected.
+        Lists every invalid key with the value found and the expected one.
     """
     try:
         return model.model_validate(data)
@@ -303,9 +303,9 @@ def _head(error: ValidationError, where: str) -> str:
 
 
 def explain(error: ValidationError, model: type[BaseModel] = BaseModel) -> str:
-    """Say what is wrong, one line for each key: its path, what was expected, what was found.
+    """Return one line per invalid key: its path, the expected value and the value found.
 
-    `model` describes the keys that are missing.
+    `model` describes missing keys.
 
     Examples
     --------
@@ -320,7 +320,7 @@ def explain(error: ValidationError, model: type[BaseModel] = BaseModel) -> str:
     return "\n".join(_line(e, model) for e in errors_with_pairs(error, model))
 
 
-# Lists that refer to lists can be longer than any memory when they are written out.
+# Lists that refer to lists can exceed any memory when expanded.
 _SHORT = reprlib.Repr()
 _SHORT.maxdict = _SHORT.maxlist = _SHORT.maxtuple = 10
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 60, 60

@@ -1,8 +1,8 @@
-"""Define units: mm, N, MPa and s inside; what users write at the door.
+"""Units: mm, N, MPa and s inside; users' units in files and other interfaces.
 
-A stiffness is written in kPa and computed in MPa. Numbers are converted by one
-multiplication or division by an exact factor, so that 10 kPa is 0.01 MPa to the
-last bit wherever it was written.
+A stiffness is given in kPa and computed in MPa. Numbers are converted by one
+multiplication or division by an exact factor, so that 10 kPa is always 0.01 MPa to
+the last bit.
 """
 
 from dataclasses import dataclass
@@ -10,18 +10,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """Describe a unit at the door.
+    """Unit of an interface.
 
     Parameters
     ----------
     symbol : str
-        As printed, "kPa"; empty for a pure number.
+        Printed symbol, such as "kPa"; empty for a pure number.
     inside : str
-        The unit of the same quantity inside `workers`.
+        Unit of the same quantity inside `workers`.
     per_inside : float
-        How many of this unit make one inside; exact in floating point.
+        Number of these units in one inside unit; exact in floating point.
     inside_per : float
-        For a unit larger than the one inside: how many inside make one of it. One of
+        For a unit larger than the inside one: number of inside units in one of these. One of
         the two factors is 1, because a thousand is exact and a thousandth is not.
 
     Examples
@@ -42,19 +42,19 @@ class Unit:
     inside_per: float = 1.0
 
     def to_inside(self, value: float) -> float:
-        """Convert from this unit to the one inside."""
+        """Convert from this unit to the inside unit."""
         return value * self.inside_per / self.per_inside
 
     def to_door(self, value: float) -> float:
-        """Convert from the unit inside to this one."""
+        """Convert from the inside unit to this one."""
         return value * self.per_inside / self.inside_per
 
     def name_at_door(self, name: str) -> str:
-        """Return `name` with its unit behind it, as users write it."""
+        """Return `name` followed by its unit, as in files."""
         return f"{name}_{self.symbol.lower().replace('/', '_per_')}" if self.symbol else name
 
     def text(self, value_inside: float) -> str:
-        """Format a value for a reader, "10 kPa"."""
+        """Format a value for display, such as "10 kPa"."""
         return f"{self.to_door(value_inside):g} {self.symbol}".rstrip()
 
 
@@ -70,4 +70,4 @@ MM_PER_KPA = Unit("mm/kPa", "mm/MPa", 1.0, 1000.0)
 N_PER_M = Unit("N/m", "N/mm", 1000.0)
 
 FORCE_UNITS = frozenset({KPA, PA, MMHG, G, KPA_PER_MM, MM_PER_KPA, N_PER_M})
-"""Units of what a force on a body is measured against: stiffness, pressure, weight."""
+"""Units of quantities that balance a force on a body: stiffness, pressure, weight."""

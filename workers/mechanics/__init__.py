@@ -1,1 +1,1 @@
-"""How a body deforms: materials, finite elements, effects and their parameters."""
+"""Mechanics of a body: materials, finite elements, effects and their parameters."""

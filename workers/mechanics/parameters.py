@@ -1,12 +1,11 @@
-"""Name the parameters of the model, as studies, searches and reports share them.
+"""Parameters of the model, shared by studies, searches and reports.
 
 The forward model is one parametric family. A study frees some parameters and
-holds the others at the values it states, or else at their neutral values. An
-effect of the model that is added later brings its own parameters, neutral where
-it changes nothing, by `Vocabulary.extended_by`.
+holds the others at given or neutral values. An effect adds its own parameters,
+whose neutral values change nothing, by `Vocabulary.extended_by`.
 
-At the door a parameter carries its unit in its name, ``E_fat_kpa: 10``; inside
-it is ``E_fat`` = 0.01 MPa.
+In files and other interfaces the unit is part of a parameter's name (its door name),
+``E_fat_kpa: 10``; inside it is ``E_fat`` = 0.01 MPa.
 """
 
 import math
@@ -25,34 +24,34 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """Describe one number of the model that can be known, searched or suspected.
+    """Number of the model that can be known, searched or suspected.
 
     Values are in inside units (mm, N, MPa).
 
     Parameters
     ----------
     name : str
-        Inside, without unit.
+        Inside name, without unit.
     unit : Unit
-        At the door.
+        Unit in files.
     lower, upper : float
-        The interval that is searched when a study names none.
+    Default search interval.
     neutral : float or None
-        The value that holds when nobody states one. None: as `follows` says.
+        Value that applies if none is given. None: see `follows`.
     description : str
     admissible : tuple of float
-        Values beyond these make no sense, nor does the upper one itself.
+        Lower and upper bound of meaningful values; the upper one is excluded.
     open_lower : bool
-        Whether the lower end of `admissible` is excluded as well.
+        Whether the lower bound of `admissible` is excluded as well.
     follows : str
-        Name of the parameter whose value holds when this one is not stated.
+        Name of the parameter whose value applies if this one is not given.
     reading : Reading
-        How a reader is shown its value.
+        Form in which its value is displayed.
 
     Raises
     ------
     InputError
-        If the bounds are reversed, or they or the neutral value are not admissible.
+        If the bounds are reversed, or a bound or the neutral value is not admissible.
     """
 
     name: str
@@ -75,16 +74,16 @@ class Parameter:
 
     @property
     def door_name(self) -> str:
-        """Return the name with its unit, as in a study file."""
+        """Return the name with its unit, as used in study files."""
         return self.unit.name_at_door(self.name)
 
     @property
     def bounds(self) -> Bounds:
-        """Return the default interval of a search."""
+        """Return the default search interval."""
         return self.lower, self.upper
 
     def check(self, value: float) -> float:
-        """Return `value`, as a float, if it is admissible.
+        """Return `value` as a float if it is admissible.
 
         Raises
         ------
@@ -101,7 +100,7 @@ class Parameter:
         return float(value)
 
     def check_bounds(self, bounds: Bounds) -> Bounds:
-        """Return `bounds` themselves, if they are an interval of admissible values.
+        """Return `bounds` if they are an interval of admissible values.
 
         Raises
         ------
@@ -130,7 +129,7 @@ class Parameter:
 
 
 class Vocabulary:
-    """Hold the parameters of a model, in their order.
+    """Ordered parameters of a model.
 
     Parameters
     ----------
@@ -140,7 +139,7 @@ class Vocabulary:
     Raises
     ------
     InputError
-        If a name appears twice, or a parameter follows an unknown one.
+        If a name occurs twice, or a parameter follows an unknown one.
     """
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
@@ -164,7 +163,7 @@ class Vocabulary:
         return name in self._by_name
 
     def __getitem__(self, name: str) -> Parameter:
-        """Return the parameter of this inside name.
+        """Return the parameter with this inside name.
 
         Raises
         ------
@@ -178,16 +177,16 @@ class Vocabulary:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names inside, in order."""
+        """Return the inside names, in order."""
         return tuple(self._by_name)
 
     @property
     def door_names(self) -> tuple[str, ...]:
-        """Return the names with units, in order."""
+        """Return the door names, which include units, in order."""
         return tuple(parameter.door_name for parameter in self)
 
     def at_door(self, door_name: str) -> Parameter:
-        """Return the parameter that a study file calls `door_name`.
+        """Return the parameter with this name in a study file.
 
         Raises
         ------
@@ -200,16 +199,16 @@ class Vocabulary:
         raise InputError(unknown_name("parameter", door_name, self.door_names))
 
     def extended_by(self, parameters: Iterable[Parameter]) -> "Vocabulary":
-        """Return this vocabulary and further parameters behind it."""
+        """Return this vocabulary with further parameters appended."""
         return Vocabulary([*self, *parameters])
 
     def without(self, names: Iterable[str]) -> "Vocabulary":
-        """Return this vocabulary less `names`."""
+        """Return this vocabulary without `names`."""
         left_out = set(names)
         return Vocabulary([p for p in self if p.name not in left_out])
 
     def from_door(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Turn door names and units into inside names and units, in the vocabulary's order.
+        """Convert door names and units to inside names and units, in the vocabulary's order.
 
         Raises
         ------
@@ -219,7 +218,7 @@ class Vocabulary:
         return self._translate(values, lambda p, value: p.check(p.unit.to_inside(value)))
 
     def bounds_from_door(self, values: Mapping[str, Bounds]) -> dict[str, Bounds]:
-        """Turn search intervals at the door into inside names and units.
+        """Convert search intervals from door to inside names and units.
 
         Raises
         ------
@@ -232,11 +231,11 @@ class Vocabulary:
         )
 
     def to_door(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Turn inside names and units into door names and units."""
+        """Convert inside names and units to door names and units."""
         return {self[name].door_name: self[name].unit.to_door(v) for name, v in values.items()}
 
     def complete(self, *stated: Mapping[str, float]) -> dict[str, float]:
-        """Give every parameter a value: what is stated, later mappings first, or the neutral one.
+        """Return values of all parameters: the last one stated, or else the neutral one.
 
         Raises
         ------
@@ -261,7 +260,7 @@ class Vocabulary:
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> str:
-    """Say that `name` is unknown, with the closest known names or all of them.
+    """Return a message about an unknown `name`, with the closest known names or all of them.
 
     Examples
     --------
@@ -300,8 +299,8 @@ def _stiffness(
     )
 
 
-# Intervals and neutral values: thesis section 4.5, its first and third targets;
-# muscle, which the thesis does not search, spans resting to tense.
+# Intervals and neutral values: thesis section 4.5, its first and third targets; the
+# interval of muscle, which the thesis does not search, covers resting to tense.
 BREAST = Vocabulary(
     [
         _stiffness("E_fat", 5, 20, 10, "Young's modulus of fat and ligaments"),

@@ -1,4 +1,4 @@
-"""Says how plates press a body, to whoever draws it."""
+"""Description of compression between plates, for drawings."""
 
 from dataclasses import dataclass
 
@@ -9,14 +9,14 @@ ALONG_Y: Triple = (0.0, 1.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Pressed:
-    """How plates press a body.
+    """Compression of a body between plates.
 
     Parameters
     ----------
     axis : tuple of float
-        From the lower to the upper plate.
+        Direction from the lower to the upper plate.
     force_n : float or None
-        None where the plates stand at a distance.
+        Plate force; None for plates at a given distance.
     """
 
     axis: Triple = ALONG_Y

@@ -1,7 +1,7 @@
-"""Values of parameters as a reader thinks of them: "0.75 times gravity", "nu = 0.45".
+"""Readable values of parameters: "0.75 times gravity", "nu = 0.45".
 
-A parameter is computed in whatever suits the fit, such as the logarithm of a ratio. Its
-`Reading` says how the value, its interval and its neutral value are shown.
+A parameter is computed in the form that suits the fit, such as the logarithm of a ratio. Its
+`Reading` defines the form in which the value, its interval and its neutral value are shown.
 """
 
 import math
@@ -14,15 +14,15 @@ NINETY_PERCENT = 1.6448536269514722
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How the value of a parameter is shown.
+    """Form in which the value of a parameter is shown.
 
     Parameters
     ----------
     kind : {"as is", "ratio", "percent", "poisson"}
-        The value in its unit; the ratio of which it is the logarithm; a share as per cent;
-        Poisson's ratio nu, where it is the logarithm of a change of 1 - 2 nu.
+        The value in its unit; the ratio whose logarithm it is; a share in per cent; or
+        Poisson's ratio nu, if the value is the logarithm of a change of 1 - 2 nu.
     unit : str
-        Words behind the number, such as "times gravity"; "" for the unit of the parameter.
+        Words after the number, such as "times gravity"; "" for the unit of the parameter.
     name : str
         Symbol before the number, such as "nu".
     """
@@ -34,9 +34,9 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class ShownMagnitude:
-    """A value with its 90 % interval as a reader thinks of it; `neutral` is that of the model.
+    """Value with its 90 % interval in readable form; `neutral` is the model's value.
 
-    `neutral` is None for the place of an effect, of which the model has none.
+    `neutral` is None for the place of an effect, which the model does not have.
     """
 
     value: float
@@ -51,7 +51,7 @@ AS_IS = Reading()
 
 
 def ratio(unit: str) -> Reading:
-    """Return the reading of a logarithm of a ratio."""
+    """Return the reading of the logarithm of a ratio."""
     return Reading("ratio", unit)
 
 
@@ -74,17 +74,17 @@ def shown(
     nu: float | None = None,
     least: float = -math.inf,
 ) -> ShownMagnitude:
-    """Return a value with its 90 % interval as a reader thinks of it.
+    """Return a value with its 90 % interval in readable form.
 
     Parameters
     ----------
     reading : Reading
     value, sd, neutral, least : float
-        Of the parameter at the door; values below `least` make no sense.
+        In door units; values below `least` are meaningless.
     unit : str
         Symbol of the parameter's unit.
     nu : float, optional
-        Poisson's ratio of the model; without it a change of 1 - 2 nu is shown as a ratio.
+        Poisson's ratio of the model; without it, a change of 1 - 2 nu is shown as a ratio.
 
     Examples
     --------
@@ -111,7 +111,7 @@ def shown(
 def shown_change(reading: Reading, size: float, unit: str) -> tuple[float, str]:
     """Return the size of a change from the neutral value, and its unit.
 
-    A ratio changes by per cent, and so does 1 - 2 nu.
+    Changes of a ratio, and of 1 - 2 nu, are in per cent.
 
     Examples
     --------

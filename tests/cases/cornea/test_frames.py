@@ -189,7 +189,7 @@ def test_warns_of_colours_next_to_the_cornea(tmp_path: Path) -> None:
     logo = painted(REST, lambda d: d.text((5, 5), "OD", fill=(0, 120, 255), font_size=20))
     (found,) = findings(tmp_path, logo)
     assert found.severity == "warning"
-    assert "beside the cornea in columns 6 to 32" in found.text
+    assert "next to the cornea in columns 6 to 32" in found.text
 
 
 def test_a_tint_of_the_whole_picture_is_no_annotation() -> None:

@@ -1,9 +1,9 @@
-"""Define an unmodelled effect: parameters that the model holds at zero.
+"""Effects that a model may lack: parameters that it holds at a neutral value.
 
 An effect turns a `Problem` into another one, or the observation into another
-one. At the neutral values of its parameters it changes nothing. Suspecting it
-means freeing them, so each brings a scale on which it is plausible, and a step
-by which the out-of-balance force is differentiated.
+one. At the neutral values of its parameters it changes nothing. A diagnosis frees
+them, so each has a plausible scale, and a step for differentiating the
+out-of-balance force.
 """
 
 import math
@@ -31,7 +31,7 @@ Family = Literal[
     "growth",
     "observation",
 ]
-"""Effects of one family are near relatives: data often tell families apart and not members."""
+"""Families of similar effects: data often distinguish families but not their members."""
 
 Values = Mapping[str, float]
 Transform = Callable[[Problem, Values, Frame], Problem]
@@ -43,17 +43,17 @@ ANY = (-math.inf, math.inf)
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where an effect sits that acts at one place.
+    """Place of an effect that acts at one place.
 
     Parameters
     ----------
     names : tuple of str
-        Of its parameters that are offsets from the middle of the body along x, y and z, then of
-        the one that is its radius if several of them are tried.
+        Names of the parameters for the offsets from the middle of the body along x, y and z,
+        then for the radius if several radii are tried.
     on : {"inside", "boundary"}
-        Where it may sit.
+        Where it may be.
     radii_mm : tuple of float
-        Radii with which it is looked for; none if that is its neutral one.
+        Radii to try; empty to keep the neutral one.
     """
 
     names: tuple[str, ...]
@@ -62,11 +62,11 @@ class Place:
 
     @property
     def offsets(self) -> tuple[str, ...]:
-        """The names of the offsets from the middle of the body along x, y and z."""
+        """Names of the offsets from the middle of the body along x, y and z."""
         return self.names[:3]
 
     def positions_mm(self, centre_mm: Triple) -> dict[str, tuple[str, float]]:
-        """Return the coordinates that the offsets become in the scans.
+        """Return the coordinates in the scans that correspond to the offsets.
 
         Parameters
         ----------
@@ -76,7 +76,7 @@ class Place:
         Returns
         -------
         dict of str to (str, float)
-            For each offset the name of its coordinate, with unit, and what is added to it.
+            For each offset the name of its coordinate, with unit, and the shift to add.
         """
         return {
             name: (f"{name[:-1]}position_{name[-1]}_mm", along)
@@ -86,67 +86,66 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """Describe one physical effect that a model may lack.
+    """Physical effect that a model may lack.
 
     Parameters
     ----------
     name : str
-        In the words of the field, "gravity_change".
+        The field's term, such as "gravity_change".
     family : Family
     summary : str
         One sentence for a report.
     parameters : tuple of Parameter
-        Their neutral values are numbers. One whose admissible interval begins at its
-        neutral value is one-sided.
+        Their neutral values are numbers. A parameter whose admissible interval begins at
+        its neutral value is one-sided.
     prior_sd : tuple of float
-        Standard deviation of each parameter before data, inside units; of the
-        half-normal where it is one-sided.
+        Prior standard deviation of each parameter, inside units; of the half-normal
+        where it is one-sided.
     steps : tuple of float
-        By how much each parameter is varied to differentiate the out-of-balance
-        force, inside units.
+        Step of each parameter for differentiating the out-of-balance force, inside units.
     transform : callable
-        From problem, values of all parameters and frame of the body to the problem
+        Maps problem, values of all parameters and frame of the body to the problem
         with the effect. An effect on the observation returns the problem itself.
     references : tuple of str
-        Who says that it matters.
+        Evidence that it matters.
     observation : callable, optional
-        For an effect on the observation: from points, normals, tissues and frame to
+        For an effect on the observation: maps points, normals, tissues and frame to
         the shift of the observed interface for one unit of each parameter, shape
         (k, parameters); see `shift`.
     if_present : tuple of (float, float), optional
-        For an effect whose size is known if it acts at all, as the weight of a body is:
-        mean and standard deviation of each parameter then. What it would do is still
-        looked up on the scale of `prior_sd`; a refit believes this.
+        For an effect whose size is known if it acts at all, such as the weight of a body:
+        mean and standard deviation of each parameter in that case. Screening still uses
+        the scale of `prior_sd`; a refit uses this one.
     sees : {"points", "moves", "arms"}
-        What such an effect is given as points: where they are now, how far they have
-        moved, or how far the end of an arm of 1 mm on each has moved against its foot.
+        Points passed to such an effect: present positions, displacements, or displacements
+        of the end of a 1 mm arm at each point relative to its foot.
     place : Place, optional
         For an effect that acts at one place. Parameters before those of the place are then its
-        sizes; where they are neutral, the others change nothing, so the place is looked for on a
-        grid first.
+        sizes; where they are neutral, the others change nothing, so the place is first searched
+        on a grid.
     odds : float
-        How much more probable than others of its catalogue it is before data, > 0. Default 1:
-        as probable as they are.
+        Prior odds relative to other effects of its catalogue, > 0. Default 1: equally
+        probable.
     is_slow : bool
-        Whether its tasks take several times as long as those of other effects, so that they
-        are sent first. Default False.
+        Whether its tasks take several times as long as other effects' tasks and are
+        therefore submitted first. Default False.
     follows_path : bool
-        Whether it depends on the path of the load, as friction does. It is then solved in load
+        Whether it depends on the load path, as friction does. It is then solved in load
         steps, and its derivative comes from a second simulation. Default False: the final
         state is enough, and its derivative is a tangent.
     moves_scan : bool
-        Whether its parameters are 3 shifts in mm and 3 turns in degrees of the whole scan.
+        Whether its parameters are 3 shifts in mm and 3 rotations in degrees of the whole scan.
         Points are then moved before they are compared with the scan. Default False: the
         residuals change by `shift`.
     about_centre : bool
-        Whether an effect on the observation turns, scales or shears about the middle of the
-        body. Default False: it does not depend on where that is.
+        Whether an effect on the observation rotates, scales or shears about the middle of
+        the body. Default False: it does not depend on that point.
     held_sd : tuple of float
         Standard deviation of each parameter where a case states it, inside units: an
-        uncertainty that every hypothesis has. Default empty: a stated value is exact.
+        uncertainty common to all hypotheses. Default empty: a stated value is exact.
     resembles_roughness : bool
-        Whether the roughness with which the body at rest was drawn looks like this effect, whose
-        first parameter is a stiffness per width in N/mm. Default False.
+        Whether a rough segmentation of the body at rest looks like this effect, whose first
+        parameter is a stiffness per width in N/mm. Default False.
     is_mapped : bool
         Whether a report shows a map of the places where stiffer or softer tissue would explain
         the residuals. Its first parameter is that stiffness, and its `place` is inside the body.
@@ -155,26 +154,26 @@ class Effect:
         Whether it keeps a body from drifting sideways between frictionless plates, so that a
         plan recommends it for a body that nothing else holds. Default False.
     is_confounded : bool
-        Whether free stiffnesses explain it completely, so that a diagnosis cannot find it.
+        Whether free stiffnesses explain it completely, so that a diagnosis cannot identify it.
         Default False.
     is_in_law : bool
         Whether the shape constants of a chosen material law describe the same thing, so that it is
         not suspected where every tissue has such a law. Default False.
     searched_as : tuple of str
-        Parameters of a study that describe the same thing under other names; an effect of
-        which a study searches a parameter is not suspected. Default empty: only its own names.
+        Parameters of a study that describe the same thing under other names; an effect is not
+        suspected if the study searches one of them. Default empty: only its own names.
     organs : tuple of str
-        To which organs it is added when another distribution offers it as an entry point of the
-        group ``palpate.effects``: ``"breast"``, ``"cornea"``, ``"specimen"``.
+        Organs to which it is added when another distribution provides it as an entry point of
+        the group ``palpate.effects``: ``"breast"``, ``"cornea"``, ``"specimen"``.
     truth : callable, optional
-        From the parameters of a blind case to those of this effect that mean the same, under
-        their names at the door. Default None: a blind case has nothing to compare with.
+        Maps the parameters of a blind case to the equivalent parameters of this effect, under
+        their public names. Default None: a blind case has no equivalent.
 
     Raises
     ------
     InputError
-        If a parameter has no neutral value, a scale, a step or the odds are missing or
-        not positive, or a map has no place.
+        If a parameter has no neutral value; if a scale, a step or the odds are missing or not
+        positive; or if a mapped effect has no place inside the body.
     """
 
     name: str
@@ -244,19 +243,19 @@ class Effect:
 
     @property
     def is_proportional(self) -> bool:
-        """Whether what it does grows in proportion to its parameters.
+        """Whether its influence is proportional to its parameters.
 
-        Effects at one place, or that begin at their neutral value, do not.
+        This excludes effects at one place, and effects that begin at their neutral value.
         """
         return self.place is None and not self.is_one_sided
 
     def is_searched(self, names: Container[str]) -> bool:
-        """Return whether a study that searches these parameters searches the effect."""
+        """Test whether a study of these parameters searches the effect."""
         return any(name in names for name in (*self.names, *self.searched_as))
 
     @property
     def size_count(self) -> int:
-        """Return how many of the parameters, from the first, do something on their own."""
+        """Return the number of leading parameters that have an influence on their own."""
         return self.names.index(self.place.names[0]) if self.place else len(self.names)
 
     @property
@@ -273,7 +272,7 @@ class Effect:
         }
 
     def complete(self, values: Values) -> dict[str, float]:
-        """Return `values`, neutral where they name none.
+        """Return `values`, completed by neutral ones.
 
         Raises
         ------
@@ -289,7 +288,7 @@ class Effect:
         ----------
         problem : Problem
         values : mapping of str to float
-            Inside names and units; what is missing is neutral.
+            Inside names and units; missing ones are neutral.
         frame : Frame
             Of the undeformed body.
 
@@ -302,7 +301,7 @@ class Effect:
         return problem if full == self.neutral else self.transform(problem, full, frame)
 
     def acts_on(self, problem: Problem, frame: Frame) -> bool:
-        """Say whether the effect changes anything: plates that are not there cannot tilt."""
+        """Test whether the effect changes the problem: absent plates cannot tilt."""
         if self.observation is not None:
             return True
         return self.apply(problem, self.plausible, frame) != problem
@@ -318,7 +317,7 @@ class Effect:
             Without the effect.
         frame : Frame
         at : mapping of str to float, optional
-            Where the derivative is taken; neutral where it names none.
+            Values at which to differentiate; missing ones are neutral.
 
         Returns
         -------
@@ -346,15 +345,14 @@ class Effect:
         values: Values,
         frame: Frame,
     ) -> FloatArray:
-        """Return how far the effect moves the observed interface outwards.
+        """Return the outward shift of the observed interface due to the effect.
 
         It is linear in the values; `observation` is its derivative.
 
         Parameters
         ----------
         points, normals : ndarray, shape (k, 3)
-            On the interfaces, in mm, or what else the effect `sees`; unit normals out of
-            the tissue.
+            On the interfaces, in mm, or as the effect `sees` them; unit normals out of the tissue.
         tissues : ndarray of int, shape (k,)
             The `Tissue` that each interface encloses.
         values : mapping of str to float
@@ -363,7 +361,7 @@ class Effect:
         Returns
         -------
         ndarray, shape (k,)
-            Along the normals, in mm; zero if the effect is one on the problem.
+            Along the normals, in mm; zero for an effect on the problem.
 
         Raises
         ------
@@ -388,7 +386,7 @@ class Effect:
 
 
 def one_sided(parameter: Parameter) -> bool:
-    """Say whether a parameter's neutral value is the least that makes sense."""
+    """Test whether a parameter's neutral value is its lower bound."""
     return parameter.neutral == parameter.admissible[0]
 
 
@@ -400,7 +398,7 @@ def two_sided(
     neutral: float = 0.0,
     reading: Reading = AS_IS,
 ) -> Parameter:
-    """Make a parameter of either sign, searched from ``-reach`` to ``reach`` about `neutral`."""
+    """Return a parameter of either sign, searched within ``reach`` of `neutral`."""
     lower, upper = neutral - reach, neutral + reach
     return Parameter(
         name, unit, lower, upper, neutral, description, admissible=ANY, reading=reading
@@ -408,12 +406,12 @@ def two_sided(
 
 
 def renamed(**names: str) -> Truth:
-    """Return a `truth` whose parameters only have other names in a blind case.
+    """Return a `truth` for parameters that only have other names in a blind case.
 
     Parameters
     ----------
     **names : str
-        From the name at the door of a parameter of the effect to its name in the case.
+        The parameter's name in the case, by its public name.
     """
     return partial(_read_renamed, names)
 
@@ -426,7 +424,7 @@ def from_zero(
     limit: float = math.inf,
     reading: Reading = AS_IS,
 ) -> Parameter:
-    """Make a parameter that is zero or positive, searched up to `reach` and below `limit`."""
+    """Return a parameter that is zero or positive, searched up to `reach` and below `limit`."""
     return Parameter(
         name,
         unit,

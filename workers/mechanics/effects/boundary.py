@@ -1,4 +1,4 @@
-"""Effects of how a body is held and touched."""
+"""Effects of supports and contact."""
 
 import math
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ PLATE_FRICTION_NAME = "friction"
 
 
 def _plate_friction(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Add to Coulomb's coefficient."""
+    """Increase Coulomb's coefficient."""
     return with_device(
         problem, lambda d: replace(d, friction=d.friction + values[PLATE_FRICTION_NAME])
     )
@@ -71,7 +71,7 @@ WALL_COMPLIANCE_NAME = "wall_compliance"
 
 
 def _wall_compliance(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Put a compliance in series with what holds the wall along z."""
+    """Put a compliance in series with the support of the wall along z."""
     wall, compliance = problem.wall, values[WALL_COMPLIANCE_NAME]
     if not compliance:
         return problem
@@ -82,11 +82,11 @@ def _wall_compliance(problem: Problem, values: Values, frame: Frame) -> Problem:
 
 
 # Far from linear where it exceeds the compliance of the breast itself: its tangent at a
-# held wall promises more than a large one does.
+# fixed wall overestimates a large one.
 WALL_COMPLIANCE = Effect(
     name="wall_compliance",
     family="boundary",
-    summary="The chest wall gives way where the breast presses on it.",
+    summary="The chest wall yields under the pressure of the breast.",
     parameters=(
         from_zero(
             WALL_COMPLIANCE_NAME,
@@ -104,14 +104,14 @@ WALL_COMPLIANCE = Effect(
 
 
 # --- wall hold
-# Hold the breast against sliding freely along the chest wall.
+# Keep the breast from sliding freely along the chest wall.
 
 
 WALL_HOLD_NAMES = ("wall_hold_x", "wall_hold_y")
 
 
 def _wall_hold(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Add springs along x and y, in parallel to those of the wall, where it is not held."""
+    """Add springs along x and y where the wall is not held, parallel to its own."""
     wall = problem.wall
     x, y = (
         0.0 if held else values[name]
@@ -122,7 +122,7 @@ def _wall_hold(problem: Problem, values: Values, frame: Frame) -> Problem:
     )
 
 
-# 10 kPa over 50 mm is 0.2 kPa/mm: a hold that the breast feels.
+# 10 kPa over 50 mm is 0.2 kPa/mm: a support that matters for the breast.
 WALL_HOLD = Effect(
     name="wall_hold",
     family="boundary",
@@ -164,8 +164,8 @@ def _local_attachment(problem: Problem, values: Values, frame: Frame) -> Problem
 def _true_attachment(given: Mapping[str, Any]) -> dict[str, float]:
     """Return the springs along all axes of a tether, along the chest wall of a scar.
 
-    Springs are per area; a disc of radius R, which a scar has, is as stiff in total as a bell of
-    radius R / sqrt(2).
+    Springs are per area; a disc of radius R, the shape of a scar, has the total stiffness of a
+    bell of radius R / sqrt(2).
     """
     is_scar = "radius_mm" in given
     grip, axes = float(given["grip_kpa_per_mm"]), "xy" if is_scar else "xyz"
@@ -174,8 +174,8 @@ def _true_attachment(given: Mapping[str, Any]) -> dict[str, float]:
     return springs | bell
 
 
-# 1 kPa/mm on a patch of 12 mm radius is 0.9 N/mm: nearly as firm as if the skin were glued. A
-# long tether holds along itself alone, skin that sticks to a plate across it.
+# 1 kPa/mm on a patch of 12 mm radius is 0.9 N/mm: nearly as firm as glued skin. A long tether
+# holds only along itself; skin that sticks to a plate is held across it.
 LOCAL_ATTACHMENT = Effect(
     name="local_attachment",
     family="boundary",
@@ -214,7 +214,7 @@ LOCAL_ATTACHMENT = Effect(
 
 
 # --- base motion
-# Let the base move between the recording at rest and that under load.
+# Let the base move between the recordings at rest and under load.
 
 
 SHIFTS = ("base_x", "base_y", "base_z")
@@ -223,19 +223,19 @@ TURNS = ("base_turn_x", "base_turn_y", "base_turn_z")
 
 @dataclass(frozen=True, slots=True)
 class BaseMotionColumns:
-    """Move points with their base, which turns about `centre_mm`."""
+    """Columns of a rigid motion of the base, which turns about `centre_mm`."""
 
     centre_mm: Triple
 
     def __call__(
         self, points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
     ) -> FloatArray:
-        """Return normal motion for 1 mm along and 1 degree about each axis, shape (k, 6)."""
+        """Return the normal motion for 1 mm along and 1 degree about each axis, shape (k, 6)."""
         return rigid_columns(points, normals, self.centre_mm)
 
 
 def base_motion(centre_mm: Triple) -> Effect:
-    """Move the body with its base, alike in all states, turning about `centre_mm`."""
+    """Return the effect of a base that moves equally in all states, turning about `centre_mm`."""
     return Effect(
         name="base_motion",
         family="boundary",
@@ -260,9 +260,9 @@ CLAMP_COMPLIANCE_NAME = "clamp_compliance"
 
 
 def _clamp_compliance(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Let the clamped face give way along its normal by so much under a unit of traction.
+    """Let the clamped face yield along its normal in proportion to the traction.
 
-    Bending pulls on one side of the face and presses on the other, so that it turns.
+    Bending pulls on one side of the face and presses on the other, so the face turns.
     """
     wall, compliance = problem.wall, values[CLAMP_COMPLIANCE_NAME]
     if not compliance or not wall.held[2]:
@@ -272,11 +272,11 @@ def _clamp_compliance(problem: Problem, values: Values, frame: Frame) -> Problem
     return replace(problem, wall=replace(wall, held=held, spring_mpa_per_mm=(x, y, 1 / compliance)))
 
 
-# A layer of 3 mm of a material of 300 kPa gives way by 0.01 mm/kPa.
+# A 3 mm layer of a material of 300 kPa yields by 0.01 mm/kPa.
 CLAMP_COMPLIANCE = Effect(
     name="clamp_compliance",
     family="boundary",
-    summary="The clamp gives way where the body pulls and presses on it.",
+    summary="The clamp yields under the pull and pressure of the body.",
     parameters=(
         from_zero(
             CLAMP_COMPLIANCE_NAME,

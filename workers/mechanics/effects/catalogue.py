@@ -1,4 +1,4 @@
-"""The effects of one organ."""
+"""Catalogue of the effects of one organ."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from palpate.workers.mechanics.parameters import Parameter, unknown_name
 
 @dataclass(frozen=True, slots=True)
 class Catalogue:
-    """The effects that are suspected when a simulated organ differs from an imaged one.
+    """Effects to suspect when a simulated organ differs from an imaged one.
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ class Catalogue:
 
     @property
     def on_body(self) -> tuple[Effect, ...]:
-        """The effects on the body and its load, which a study can hold or search."""
+        """Effects on the body and its load, which a study can hold or search."""
         return tuple(e for e in self.effects if e.acts_on_body)
 
     @property
     def on_observation(self) -> tuple[Effect, ...]:
-        """The effects on the images, which move interfaces and no tissue."""
+        """Effects on the images, which move interfaces but no tissue."""
         return tuple(e for e in self.effects if not e.acts_on_body)
 
     def named(self, name: str) -> Effect:
@@ -50,18 +50,18 @@ class Catalogue:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The parameters of all effects, in order, to extend a vocabulary by."""
+        """Parameters of all effects, in order."""
         return tuple(p for e in self.effects for p in e.parameters)
 
     def apply(self, problem: Problem, values: Values, frame: Frame) -> Problem:
-        """Return `problem` with every effect, one after the other.
+        """Return `problem` with every effect, applied in order.
 
         Parameters
         ----------
         problem : Problem
             Without effects.
         values : mapping of str to float
-            Inside names and units; effects whose parameters are not named are left out.
+            Inside names and units; effects without a value are left out.
         frame : Frame
             Of the undeformed body.
 

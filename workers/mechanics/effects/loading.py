@@ -24,23 +24,23 @@ from palpate.workers.mechanics.readings import Reading, ratio
 from palpate.workers.units import NUMBER, G, Unit
 
 # --- gravity change
-# Let gravity differ between the two scans: another posture.
+# Let gravity differ between the two scans, as in another posture.
 
 
 GRAVITY_CHANGE_NAMES = ("gravity_x", "gravity_y", "gravity_z")
 
 
 def _gravity_change(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Add a body force to the one that the problem has."""
+    """Add a body force to the problem's own."""
     x, y, z = (values[name] for name in GRAVITY_CHANGE_NAMES)
     return replace(problem, gravity_g=plus(problem.gravity_g, (x, y, z)))
 
 
-# A turn upside down changes gravity by 2 g.
+# Turning upside down changes gravity by 2 g.
 GRAVITY_CHANGE = Effect(
     name="gravity_change",
     family="loading",
-    summary="The body lay differently in the two scans, so gravity pulls another way.",
+    summary="The body's posture differs between the scans, so gravity acts in another direction.",
     parameters=tuple(
         two_sided(
             name,
@@ -64,7 +64,7 @@ GRAVITY_CHANGE = Effect(
 
 
 # --- gravity prestress
-# Let gravity act in both scans alike: the image is not of a stress-free body.
+# Let gravity act equally in both scans: the imaged body is not stress-free.
 
 
 GRAVITY_PRESTRESS_NAME = "common_gravity"
@@ -111,7 +111,7 @@ PLATE_FORCE_NAME = "ln_plate_force"
 
 
 def _plate_force(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Multiply the force; plates that stand at a distance stay there."""
+    """Multiply the force; plates at a given distance stay there."""
     load = problem.load
     if not isinstance(load, ForceControl):
         return problem
@@ -121,11 +121,11 @@ def _plate_force(problem: Problem, values: Values, frame: Frame) -> Problem:
 
 
 def _true_plate_force(given: Mapping[str, Any]) -> dict[str, float]:
-    """Return ln of the force that the body carries over the stated one."""
+    """Return ln of the ratio of the force on the body to the stated force."""
     return {PLATE_FORCE_NAME: math.log(given["factor"])}
 
 
-# Between the least share measured with rigid plates and a sensor that reads 15 % low.
+# From the least share measured with rigid plates to a sensor that reads 15 % low.
 PLATE_FORCE = Effect(
     name="plate_force",
     family="loading",
@@ -154,14 +154,14 @@ PLATE_FORCE = Effect(
 
 
 # --- load scale
-# Make forces larger or smaller than written down.
+# Make forces larger or smaller than stated.
 
 
 LOAD_SCALE_NAME = "ln_load"
 
 
 def _load_scale(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Multiply all forces; gravity is known better and stays."""
+    """Multiply all forces except gravity, which is known better."""
     factor = math.exp(values[LOAD_SCALE_NAME])
     forces = []
     for dead in problem.forces:
@@ -170,17 +170,17 @@ def _load_scale(problem: Problem, values: Values, frame: Frame) -> Problem:
     return replace(problem, forces=tuple(forces))
 
 
-# Without gravity or a prescribed displacement the stiffness takes all of it.
+# Without gravity or a prescribed displacement the stiffness absorbs it completely.
 LOAD_SCALE = Effect(
     name="load_scale",
     family="loading",
-    summary="The forces are not what was written down: scales, friction, a lever arm.",
+    summary="The forces differ from the stated ones: scales, friction, a lever arm.",
     parameters=(
         two_sided(
             LOAD_SCALE_NAME,
             NUMBER,
             0.3,
-            "ln of the true forces over those stated",
+            "ln of the ratio of true to stated forces",
             reading=ratio("times the stated forces"),
         ),
     ),
@@ -196,13 +196,13 @@ LOAD_SCALE = Effect(
 
 
 SELF_WEIGHT_NAME = "self_weight"
-# Of the density of a material that was cast or printed, relative.
+# Relative uncertainty of the density of a cast or printed material.
 DENSITY_SD = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class AddGravity:
-    """Add a part of gravity along a unit vector."""
+    """Transform that adds a fraction of gravity along a unit vector."""
 
     down: Triple
 
@@ -213,21 +213,21 @@ class AddGravity:
 
 
 def self_weight(down: Triple) -> Effect:
-    """Let gravity act along a known direction, of length 1.
+    """Return the effect of gravity along a known unit vector.
 
-    Unlike a change of posture neither direction nor size is a question: the body feels its
-    weight or does not, and the weight is as certain as the density of its material.
+    Unlike in a change of posture, direction and size are known: the weight acts or it does not,
+    and it is as certain as the density of the material.
     """
     return Effect(
         name="self_weight",
         family="loading",
-        summary="The body sags under its own weight, which the model has not.",
+        summary="The body sags under its own weight, which the model lacks.",
         parameters=(
             from_zero(
                 SELF_WEIGHT_NAME,
                 G,
                 1.5,
-                "part of its weight that the body feels",
+                "fraction of the body's weight that acts",
                 reading=Reading(unit="times its weight"),
             ),
         ),
@@ -242,7 +242,7 @@ def self_weight(down: Triple) -> Effect:
 
 
 # --- added mass
-# Hang a mass on the body that was not weighed: markers, hooks, glue.
+# Hang a mass on the body that the model lacks: markers, hooks, glue.
 
 
 ADDED_MASS_NAME = "added_mass"
@@ -252,7 +252,7 @@ GRAM = Unit("gram", "t", 1e6)
 
 @dataclass(frozen=True, slots=True)
 class AddMass:
-    """Hang a mass on a region."""
+    """Transform that hangs a mass on a region."""
 
     down: Triple
     region: Region
@@ -264,14 +264,14 @@ class AddMass:
 
 
 def added_mass(down: Triple, region: Region) -> Effect:
-    """Hang a mass on `region`, pulled along the unit vector `down`, in all states alike."""
+    """Return the effect of a mass on `region`, pulled along unit vector `down` in all states."""
     return Effect(
         name="added_mass",
         family="loading",
         summary="Markers, hooks or glue weigh on the loaded place.",
         parameters=(
             from_zero(
-                ADDED_MASS_NAME, GRAM, GRAM.to_inside(50.0), "mass that hangs there in every state"
+                ADDED_MASS_NAME, GRAM, GRAM.to_inside(50.0), "mass attached there in every state"
             ),
         ),
         prior_sd=(GRAM.to_inside(5.0),),

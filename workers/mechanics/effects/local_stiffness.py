@@ -1,4 +1,4 @@
-"""Effects of stiffness that varies inside a body."""
+"""Effects of stiffness varying inside a body."""
 
 import math
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ from palpate.workers.mechanics.readings import ratio
 from palpate.workers.units import MM, NUMBER
 
 # --- stiffness gradient
-# Stiffen tissue of one kind towards one side of the breast.
+# Stiffen each tissue towards one side of the breast.
 
 
 STIFFNESS_GRADIENT_NAMES = ("ln_gradient_x", "ln_gradient_y", "ln_gradient_z")
@@ -48,13 +48,13 @@ STIFFNESS_GRADIENT = Effect(
         "M. A. Lago, PhD thesis, 2014, section 4.5.7",
         "N. G. Ramião et al., Biomech. Model. Mechanobiol. 15 (2016) 1307",
     ),
-    # A blind case gives ln of the stiffness at the faces of the body: of a tanh, not of a line.
+    # A blind case gives ln of the stiffness at the faces of the body, of a tanh, not of a line.
     truth=renamed(ln_gradient_x="ln_x", ln_gradient_y="ln_y", ln_gradient_z="ln_z"),
 )
 
 
 # --- inclusion
-# Put a hard or soft lump where the images do not show one.
+# Add a hard or soft lump that the images do not show.
 
 
 RATIO, RADIUS = "inclusion_ln_ratio", "inclusion_radius"
@@ -80,13 +80,13 @@ def _true_inclusion(given: Mapping[str, Any]) -> dict[str, float]:
 INCLUSION = Effect(
     name="inclusion",
     family="local stiffness",
-    summary="There is a lump, harder or softer than the tissue around it.",
+    summary="There is a lump that is harder or softer than the tissue around it.",
     parameters=(
         two_sided(
             RATIO,
             NUMBER,
             2.7,
-            "ln of the lump's stiffness over that of its surroundings",
+            "ln of the ratio of the lump's stiffness to its surroundings'",
             reading=ratio("times as stiff as its surroundings"),
         ),
         *(
@@ -117,7 +117,7 @@ GROWTH_NAMES = {Tissue.FAT: "ln_growth_fat", Tissue.GLANDULAR: "ln_growth_glandu
 
 
 def _growth(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Multiply the volume at which fat and glandular tissue are free of stress."""
+    """Multiply the stress-free volume of fat and glandular tissue."""
 
     def grown(tissue: Tissue, c: Constants) -> Constants:
         name = GROWTH_NAMES.get(tissue)
@@ -127,12 +127,12 @@ def _growth(problem: Problem, values: Values, frame: Frame) -> Problem:
 
 
 def _true_growth(given: Mapping[str, Any]) -> dict[str, float]:
-    """Return ln of the volume of the gland; fat has not grown."""
+    """Return ln of the volume ratio of the gland; fat has not grown."""
     return {"ln_growth_fat": 0.0, "ln_growth_glandular": math.log1p(given["volume_fraction"])}
 
 
-# The volume of a breast changes by some 10 % over a menstrual cycle, but scans to be compared are
-# taken days apart at most, so that swelling is rarer than what the plates do. Even growth looks
+# The volume of a breast changes by some 10 % over a menstrual cycle, but the scans compared are
+# taken days apart at most, so swelling is rarer than effects of the plates. Even growth looks
 # much like labels that are drawn too large.
 GROWTH = Effect(
     name="growth",
@@ -149,7 +149,7 @@ GROWTH = Effect(
         for tissue, name in GROWTH_NAMES.items()
     ),
     prior_sd=(0.03,) * len(GROWTH_NAMES),
-    steps=(1e-6,) * len(GROWTH_NAMES),  # fibres that hardly act fall slack on the way, or not
+    steps=(1e-6,) * len(GROWTH_NAMES),  # barely taut fibres may fall slack within a longer step
     transform=_growth,
     references=(
         "P. A. Fowler et al., Br. J. Obstet. Gynaecol. 97 (1990) 595",

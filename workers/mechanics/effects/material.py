@@ -1,4 +1,4 @@
-"""Effects of the tissue's law, the same everywhere or by tissue."""
+"""Effects of the material law, uniform or by tissue."""
 
 import math
 from collections.abc import Mapping
@@ -31,12 +31,12 @@ from palpate.workers.units import DEGREE, KPA, N_PER_M, NUMBER
 
 
 COMPRESSIBILITY_NAME = "ln_compressibility"
-# How well a stated Poisson's ratio of 0.49 is known: +-0.002, as the logarithm of 1 - 2 nu.
+# Uncertainty of a stated Poisson's ratio of 0.49: +-0.002, as the logarithm of 1 - 2 nu.
 HELD_LOG_SD = 0.115
 
 
 def _compressibility(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Multiply 1 - 2 nu of all tissues and keep Young's modulus.
+    """Multiply 1 - 2 nu of all tissues, keeping Young's modulus.
 
     The bulk modulus E / 3(1 - 2 nu) falls by the same factor; the shear modulus
     E / 2(1 + nu) changes a little.
@@ -53,7 +53,7 @@ def _compressibility(problem: Problem, values: Values, frame: Frame) -> Problem:
 COMPRESSIBILITY = Effect(
     name="compressibility",
     family="global material",
-    summary="The tissue loses more or less volume under pressure than assumed.",
+    summary="The tissue is more or less compressible than assumed.",
     parameters=(
         Parameter(
             COMPRESSIBILITY_NAME,
@@ -61,7 +61,7 @@ COMPRESSIBILITY = Effect(
             math.log(0.1),
             math.log(5.0),
             0.0,
-            "ln of 1 - 2 nu over that of the model, at the same Young's modulus",
+            "ln of the ratio of 1 - 2 nu to the model's, at the same Young's modulus",
             admissible=ANY,
             reading=poisson(),
         ),
@@ -82,7 +82,7 @@ COMPRESSIBILITY_CONTRAST_NAME = "ln_compressibility_contrast"
 
 
 def _compressibility_contrast(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Multiply 1 - 2 nu of glandular tissue and keep its Young's modulus."""
+    """Multiply 1 - 2 nu of glandular tissue, keeping its Young's modulus."""
     gland = problem.constants.get(Tissue.GLANDULAR)
     if gland is None:
         return problem
@@ -94,7 +94,7 @@ def _compressibility_contrast(problem: Problem, values: Values, frame: Frame) ->
 COMPRESSIBILITY_CONTRAST = Effect(
     name="compressibility_contrast",
     family="global material",
-    summary="Glandular tissue and fat do not lose the same part of their volume under pressure.",
+    summary="Glandular tissue and fat differ in compressibility.",
     parameters=(
         Parameter(
             COMPRESSIBILITY_CONTRAST_NAME,
@@ -102,7 +102,7 @@ COMPRESSIBILITY_CONTRAST = Effect(
             math.log(0.1),
             math.log(5.0),
             0.0,
-            "ln of 1 - 2 nu of glandular tissue over that of the model",
+            "ln of the ratio of glandular tissue's 1 - 2 nu to the model's",
             admissible=ANY,
             reading=poisson("nu of glandular tissue"),
         ),
@@ -124,13 +124,13 @@ CREEP_NAME = "creep"
 
 @dataclass(frozen=True, slots=True)
 class ScaledLaw:
-    """Keep a part of a law.
+    """Law scaled by a factor.
 
     Parameters
     ----------
     law : Isochoric
     left : float
-        Part of its energy, > 0.
+        Factor on its energy, > 0.
     """
 
     law: Isochoric
@@ -155,7 +155,7 @@ class ScaledLaw:
 
 
 def _creep(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Let every tissue, its fibres and the skin lose the same part of their moduli."""
+    """Reduce the moduli of all tissues, fibres and the skin by the same fraction."""
     left = 1 - values[CREEP_NAME]
 
     def changed(c: Constants) -> Constants:
@@ -183,7 +183,7 @@ CREEP = Effect(
             CREEP_NAME,
             NUMBER,
             0.5,
-            "part of all moduli that the tissue has lost",
+            "fraction of all moduli that the tissue has lost",
             limit=1.0,
             reading=percent("% of the stiffness lost"),
         ),
@@ -200,7 +200,7 @@ CREEP = Effect(
 
 
 # --- fibre contrast
-# Let the fibres of glandular tissue be stiffer, or softer, than those of fat.
+# Let glandular fibres be stiffer, or softer, than fibres of fat.
 
 
 FIBRE_CONTRAST_NAME = "ln_fibre_contrast"
@@ -234,7 +234,7 @@ FIBRE_CONTRAST = Effect(
             FIBRE_CONTRAST_NAME,
             NUMBER,
             2.0,
-            "ln of the stiffness of glandular fibres over that of the model",
+            "ln of the ratio of glandular fibre stiffness to the model's",
             reading=ratio("times as stiff as the model's fibres"),
         ),
     ),
@@ -254,9 +254,9 @@ FIBRE_FAN_NAMES = ("fibre_fan_x", "fibre_fan_y")
 
 
 def _fibre_fan(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Turn fibres the further, the farther they lie from the middle.
+    """Turn fibres in proportion to their distance from the middle.
 
-    Fibres that already spread keep the frame in which they do.
+    Fibres that already spread keep their frame.
     """
     fibres = problem.fibres
     x, y = fibres.fan_deg
@@ -289,7 +289,7 @@ FIBRE_FAN = Effect(
 
 
 # --- fibre rotation
-# Turn fibres away from the direction from chest wall to nipple.
+# Turn fibres away from the direction between chest wall and nipple.
 
 
 FIBRE_ROTATION_NAMES = ("fibre_turn_x", "fibre_turn_y")
@@ -303,7 +303,7 @@ def _fibre_rotation(problem: Problem, values: Values, frame: Frame) -> Problem:
 
 
 def _true_fibre_rotation(given: Mapping[str, Any]) -> dict[str, float]:
-    """Return an angle and its direction as turns towards x and y, in degrees."""
+    """Convert an angle and its direction to turns towards x and y, in degrees."""
     turn, azimuth = given["turn_deg"], math.radians(given["azimuth_deg"])
     return {
         "fibre_turn_x_deg": turn * math.cos(azimuth),
@@ -338,7 +338,7 @@ SECOND_FIBRES_NAME = "second_fibres"
 
 
 def _second_fibres(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Add fibres across, normal to the compression and to the first family.
+    """Add fibres normal to the compression and to the first family.
 
     Along the compression they would be slack, because fibres act in tension only. A
     problem that already has a second family keeps its direction.
@@ -378,16 +378,16 @@ SECOND_FIBRES = Effect(
 
 
 # --- skin
-# Add skin that the model lacks, or has too thin or too soft.
+# Add missing skin, or correct skin that is too thin or too soft.
 
 
 ADDED, FACTOR = "skin_added", "ln_skin"
-# A sheet feels E t alone; where there is none yet, this says how it is split.
+# Only E t matters for a sheet; this is how it is split where there is none yet.
 THICKNESS_MM = 1.5
 
 
 def add(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Add to the stiffness E t of the membrane, and make one where there is none."""
+    """Increase the stiffness E t of the membrane, adding a membrane where there is none."""
     if not values[ADDED]:
         return problem
     skin = problem.membrane
@@ -416,7 +416,7 @@ REFERENCES = (
 SKIN_ADDED = Effect(
     name="skin_added",
     family="global material",
-    summary="The skin adds a stiffness that the model does not have.",
+    summary="The skin adds a stiffness that the model lacks.",
     parameters=(
         from_zero(
             ADDED, N_PER_M, N_PER_M.to_inside(5000.0), "E t of the skin on top of the model's"
@@ -439,7 +439,7 @@ SKIN_SCALED = Effect(
             FACTOR,
             NUMBER,
             1.5,
-            "ln of E t of the skin over that of the model",
+            "ln of the ratio of the skin's E t to the model's",
             reading=ratio("times as stiff as the model's skin"),
         ),
     ),
@@ -458,7 +458,7 @@ STRAIN_STIFFENING_NAME = "stiffening"
 
 
 def _strain_stiffening(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Add to c2/mu of all tissues; one with a law of its own keeps that law."""
+    """Increase c2/mu of all tissues except those with a law of their own."""
 
     def changed(c: Constants) -> Constants:
         return c if c.law else replace(c, stiffening=c.stiffening + values[STRAIN_STIFFENING_NAME])

@@ -1,4 +1,4 @@
-"""Effects of how a body was imaged or measured."""
+"""Effects of imaging and measurement."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,7 +13,7 @@ from palpate.workers.mechanics.readings import Reading, percent
 from palpate.workers.units import DEGREE, MM, NUMBER
 
 # --- rigid motion
-# Move the body between the scans, as far as the registration has left it.
+# Move the body between the scans by what the registration has left.
 
 
 SHIFTS = ("motion_x", "motion_y", "motion_z")
@@ -21,10 +21,10 @@ RIGID_MOTION_TURNS = ("motion_turn_x", "motion_turn_y", "motion_turn_z")
 
 
 def rigid_columns(points: FloatArray, normals: FloatArray, centre_mm: Triple) -> FloatArray:
-    """Return normal motion for 1 mm along and 1 degree about each axis, shape (k, 6).
+    """Return the normal motion for 1 mm along and 1 degree about each axis, shape (k, 6).
 
-    Turns are about `centre_mm` and linearised: of r theta^2 / 2 they know nothing, which
-    is 0.12 mm for 3 degrees at 85 mm. See `Effect.shift`.
+    Turns are about `centre_mm` and linearised: they neglect r theta^2 / 2, which is 0.12 mm
+    for 3 degrees at 85 mm. See `Effect.shift`.
     """
     arm = np.asarray(points) - np.asarray(centre_mm)
     # n . (w x r) = w . (r x n)
@@ -32,9 +32,9 @@ def rigid_columns(points: FloatArray, normals: FloatArray, centre_mm: Triple) ->
 
 
 def rigidly_moved(points: FloatArray, motion: FloatArray, centre_mm: Triple) -> FloatArray:
-    """Return points after a motion of 3 shifts in mm and 3 turns in degrees, shape (k, 3).
+    """Move points by 3 shifts in mm and 3 turns in degrees, shape (k, 3).
 
-    As linear as `rigid_columns`.
+    Linearised like `rigid_columns`.
     """
     turn = np.radians(motion[3:])
     return np.asarray(points + motion[:3] + np.cross(turn, points - np.asarray(centre_mm)))
@@ -47,8 +47,8 @@ def _rigid_motion_columns(
     return rigid_columns(points, normals, frame.centre_mm)
 
 
-# Every scan lies elsewhere by what a registration leaves, whatever the hypothesis; that all loaded
-# scans share another motion beyond that is as rare as a scanner with a wrong scale.
+# Every scan is off by a registration error, whatever the hypothesis; a further motion common to
+# all loaded scans is as rare as a scanner with a wrong scale.
 RIGID_MOTION = Effect(
     name="rigid_motion",
     family="observation",
@@ -72,7 +72,7 @@ RIGID_MOTION = Effect(
 
 
 # --- frame turn
-# Turn the frame of the cameras against that of the body.
+# Turn the frame of the cameras against the frame of the body.
 
 
 FRAME_TURN_TURNS = ("frame_turn_x", "frame_turn_y", "frame_turn_z")
@@ -81,16 +81,16 @@ FRAME_TURN_TURNS = ("frame_turn_x", "frame_turn_y", "frame_turn_z")
 def _frame_turn_columns(
     moves: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
 ) -> FloatArray:
-    """Return how 1 degree about each axis shifts displacements along the normals, shape (k, 3)."""
+    """Return the normal displacement due to 1 degree about each axis, shape (k, 3)."""
     return np.asarray(np.radians(np.cross(moves, normals)))
 
 
-# What a fit to markers 0.5 mm off their places leaves, with the base 30 mm wide.
+# Error of a fit to markers that are 0.5 mm off, on a base 30 mm wide.
 FRAME_TURN = Effect(
     name="frame_turn",
     family="observation",
-    summary="The cameras' frame is turned against the body's: markers are not where they "
-    "are believed to be at rest.",
+    summary="The cameras' frame is turned against the body's: the assumed marker "
+    "positions at rest are wrong.",
     parameters=tuple(
         two_sided(n, DEGREE, 5.0, f"turn of the observed displacements about {n[-1]}")
         for n in FRAME_TURN_TURNS
@@ -105,7 +105,7 @@ FRAME_TURN = Effect(
 
 
 # --- image scale
-# Let the loaded scans have another scale than that at rest.
+# Let the loaded scans have another scale than the scan at rest.
 
 
 IMAGE_SCALE_NAMES = ("scale_x", "scale_y", "scale_z")
@@ -114,9 +114,9 @@ IMAGE_SCALE_NAMES = ("scale_x", "scale_y", "scale_z")
 def _image_scale_columns(
     points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
 ) -> FloatArray:
-    """Return normal motion where everything grows about the middle of the body, shape (k, 3).
+    """Return the normal motion of a magnification about the middle of the body, shape (k, 3).
 
-    For a scale that is larger by one; see `Effect.shift`.
+    For a scale larger by one along each axis; see `Effect.shift`.
     """
     return np.asarray((points - np.asarray(frame.centre_mm)) * normals)
 
@@ -126,8 +126,8 @@ def _true_image_scale(given: Mapping[str, Any]) -> dict[str, float]:
     return dict(zip(IMAGE_SCALE_NAMES, given["scale"], strict=True))
 
 
-# Distortions of MR images that are left after correction: 1 % is much, and scans of one scanner
-# share them. Voxels alone can look like a scale that is off by a tenth of that.
+# Distortions of MR images after correction: 1 % is a lot, and scans of one scanner share them.
+# Voxels alone can mimic a tenth of that.
 IMAGE_SCALE = Effect(
     name="image_scale",
     family="observation",
@@ -137,7 +137,7 @@ IMAGE_SCALE = Effect(
             name,
             NUMBER,
             0.05,
-            f"how much larger they show the body along {name[-1]}",
+            f"relative enlargement of the body along {name[-1]}",
             reading=percent(f"% larger along {name[-1]}"),
         )
         for name in IMAGE_SCALE_NAMES
@@ -154,27 +154,27 @@ IMAGE_SCALE = Effect(
 
 
 # --- image shear
-# Let the loaded scans be sheared against that at rest.
+# Let the loaded scans be sheared against the scan at rest.
 
 
 IMAGE_SHEAR_NAMES = ("shear_xy", "shear_xz", "shear_yz")
-# What is moved, along which axis, and in proportion to which coordinate.
+# Axis of the motion, and the coordinate that it is proportional to.
 MOVED, BY = (0, 0, 1), (1, 2, 2)
 
 
 def _image_shear_columns(
     points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
 ) -> FloatArray:
-    """Return normal motion where planes slide over each other, shape (k, 3).
+    """Return the normal motion of planes that slide over each other, shape (k, 3).
 
     For a shear of one about the middle of the body; see `Effect.shift`. The other three shears
-    are these and a turn, which the pose of a scan has.
+    are these plus a rotation, which is part of a scan's pose.
     """
     arms = points - np.asarray(frame.centre_mm)
     return np.asarray(normals[:, MOVED] * arms[:, BY])
 
 
-# A gantry that stands a quarter of a degree off, or what is left of a distortion.
+# A gantry a quarter of a degree off, or a residual distortion.
 IMAGE_SHEAR = Effect(
     name="image_shear",
     family="observation",
@@ -184,7 +184,7 @@ IMAGE_SHEAR = Effect(
             name,
             NUMBER,
             0.05,
-            f"how far they are moved along {name[-2]} by 1 mm of {name[-1]}",
+            f"shift along {name[-2]} per mm of {name[-1]}",
             reading=Reading(unit=f"mm along {name[-2]} for each mm of {name[-1]}"),
         )
         for name in IMAGE_SHEAR_NAMES
@@ -200,7 +200,7 @@ IMAGE_SHEAR = Effect(
 
 
 # --- segmentation offset
-# Draw labels too large or too small.
+# Let labels be too large or too small.
 
 
 TISSUES = (Tissue.FAT, Tissue.GLANDULAR, Tissue.SKIN, Tissue.MUSCLE)
@@ -209,7 +209,7 @@ TISSUES = (Tissue.FAT, Tissue.GLANDULAR, Tissue.SKIN, Tissue.MUSCLE)
 def _segmentation_offset_columns(
     points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
 ) -> FloatArray:
-    """Return 1 where an interface encloses the tissue, shape (k, 4); see `Effect.shift`."""
+    """Return 1 where an interface encloses each tissue, shape (k, 4); see `Effect.shift`."""
     return np.equal.outer(np.asarray(tissues), np.array(TISSUES)).astype(np.float64)
 
 
@@ -222,7 +222,7 @@ SEGMENTATION_OFFSET = Effect(
             f"segmentation_{tissue.name.lower()}",
             MM,
             2.0,
-            f"how far the labels of {tissue.name.lower()} reach beyond its true boundary",
+            f"distance by which the labels of {tissue.name.lower()} exceed its true boundary",
         )
         for tissue in TISSUES
     ),
@@ -236,7 +236,7 @@ SEGMENTATION_OFFSET = Effect(
 
 
 # --- marker standoff
-# Let markers stand off the surface on which they are believed to sit.
+# Let markers be off the surface on which they are assumed to be.
 
 
 MARKER_STANDOFF_NAME = "marker_standoff"
@@ -245,10 +245,10 @@ MARKER_STANDOFF_NAME = "marker_standoff"
 def _marker_standoff_columns(
     arms: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
 ) -> FloatArray:
-    """Return how an arm's end (1 mm) moves against its foot, along the normals, shape (k, 1).
+    """Return the normal motion of the end of a 1 mm arm relative to its foot, shape (k, 1).
 
-    The arm stands on the surface and turns with it, so what it adds is exact for any
-    turn, and linear in its length.
+    The arm is normal to the surface and turns with it, so its contribution is exact for any
+    rotation, and linear in its length.
     """
     return np.asarray((arms * normals).sum(axis=1)[:, None])
 
@@ -256,7 +256,7 @@ def _marker_standoff_columns(
 MARKER_STANDOFF = Effect(
     name="marker_standoff",
     family="observation",
-    summary="The markers stand off the surface and swing out as it turns.",
+    summary="The markers are off the surface and swing out as it turns.",
     parameters=(
         from_zero(MARKER_STANDOFF_NAME, MM, 15.0, "height of the markers above the surface"),
     ),

@@ -14,10 +14,10 @@ from palpate.workers.mechanics.fem.problem.loads import Device
 from palpate.workers.units import DEGREE, MM
 
 # --- plate tilt
-# Tilt the upper plate against the lower one.
+# Tilt the upper plate relative to the lower one.
 
 
-# A turn about the first in-plane axis lifts the plate along the depth, and one about
+# A turn about the first in-plane axis lifts the plate along the depth, a turn about
 # the second lifts it across.
 PLATE_TILT_DEPTH, PLATE_TILT_ACROSS = "tilt_depth", "tilt_across"
 
@@ -58,7 +58,7 @@ PLATE_TILT = Effect(
 # Bend the upper plate.
 
 
-# Across lies the first in-plane axis, and the depth along the second.
+# The first in-plane axis runs across, the second along the depth.
 PLATE_FLEX_ACROSS, PLATE_FLEX_DEPTH = "flex_across", "flex_depth"
 ARM_MM = 50.0
 
@@ -103,21 +103,21 @@ PLATE_FLEX = Effect(
 
 
 PLATE_EDGE_NAME = "plate_edge"
-# The pressure of a blind plate rises over 4 mm, and a penalty needs little of it: bodies made with
-# edges at 5 mm feel them at 5.5 and 5.7 mm.
+# The pressure of a plate of a blind case rises over 4 mm, and a penalty needs little of it: bodies
+# made with edges at 5 mm are best fitted by edges at 5.5 and 5.7 mm.
 EDGE_FELT_MM = 0.5
 
 
 def flat_from(edge_mm: float) -> float:
-    """Return how far from the wall a plate that begins there is flat, in mm.
+    """Return the distance from the wall at which a plate with this edge becomes flat, in mm.
 
-    Its rounding lies in front of its edge, and is as small as the edge is near the wall.
+    Its rounding is in front of its edge, and is smaller the nearer the edge is to the wall.
     """
     return edge_mm + EDGE_RADIUS_MM * (1 - math.exp(-edge_mm / EDGE_RADIUS_MM))
 
 
 def _plate_edge(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Move the edge of both plates away from the wall, or further than it is."""
+    """Move the edge of both plates further from the wall."""
     if not values[PLATE_EDGE_NAME]:
         return problem
     wall_mm = frame.centre_mm[2] - frame.half_mm[2]
@@ -131,7 +131,7 @@ def _plate_edge(problem: Problem, values: Values, frame: Frame) -> Problem:
 
 
 def _true_plate_edge(given: Mapping[str, Any]) -> dict[str, float]:
-    """Return the edge half a millimetre behind the place where the plate begins to press."""
+    """Return the edge, half a millimetre beyond the place where the plate begins to press."""
     return {"plate_edge_mm": given["edge_mm"] + EDGE_FELT_MM}
 
 
@@ -149,7 +149,7 @@ PLATE_EDGE = Effect(
         ),
     ),
     prior_sd=(5.0,),
-    # Points inside of faces let go one by one: a longer step would see some of them do so.
+    # Points inside faces lose contact one by one: a longer step would include some such events.
     steps=(1e-5,),
     transform=_plate_edge,
     references=("M. Dustler et al., Acta Radiol. 53 (2012) 973",),

@@ -1,4 +1,4 @@
-"""Effects that other distributions add to the catalogue of an organ."""
+"""Effects from plug-ins."""
 
 from collections.abc import Container, Mapping
 
@@ -7,7 +7,7 @@ from palpate.workers.plugins import Plugin, plugins
 
 
 def plugged_effects(organ: str) -> tuple[Effect, ...]:
-    """Return the effects that plug-ins add to an organ, by name.
+    """Return the effects that plug-ins add to an organ, sorted by name.
 
     Raises
     ------
@@ -34,14 +34,14 @@ def acting_plugins(values: Mapping[str, float]) -> tuple[Plugin, ...]:
 
 
 def plugins_of_parameters(names: Container[str]) -> tuple[Plugin, ...]:
-    """Return the plug-ins whose effects have some of these parameters, inside names."""
+    """Return the plug-ins whose effects have any of these parameters, inside names."""
     return tuple(plugin for plugin, e in _foreign() if any(name in names for name in e.names))
 
 
 def without_idle_plugins(values: Mapping[str, float]) -> dict[str, float]:
-    """Return values without those of plugged effects that change nothing.
+    """Return the values without plug-in effects that change nothing.
 
-    What an evaluation is named after thus does not depend on plug-ins that it does not use.
+    The digest of an evaluation thus does not depend on plug-ins that it does not use.
     """
     idle = {
         name

@@ -1,4 +1,4 @@
-"""Replace one part of a problem and keep the rest."""
+"""Copies of a problem with one part changed."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -10,7 +10,7 @@ from palpate.workers.mechanics.fem.problem.loads import Device, NoPlates
 
 
 def with_device(problem: Problem, change: Callable[[Device], Device]) -> Problem:
-    """Return `problem` with its plates changed; the problem itself where there are none."""
+    """Return `problem` with its plates changed, or the problem itself without plates."""
     if isinstance(problem.load, NoPlates):
         return problem
     return replace(problem, load=replace(problem.load, device=change(problem.load.device)))
@@ -29,5 +29,5 @@ def plus(first: Triple, second: Triple) -> Triple:
 
 
 def unchanged(problem: Problem, values: Mapping[str, float], frame: Frame) -> Problem:
-    """Return the problem itself: what changes is how the body is seen."""
+    """Return the problem itself: only the observation changes."""
     return problem

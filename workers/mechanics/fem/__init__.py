@@ -1,1 +1,1 @@
-"""Finite elements: from constants and loads to a displacement."""
+"""Finite elements: displacements from constants and loads."""

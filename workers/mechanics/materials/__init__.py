@@ -1,1 +1,1 @@
-"""Compute elastic laws of tissue: deformation gradients in, energies and stresses out."""
+"""Elastic laws of tissue: energies and stresses from deformation gradients."""

@@ -1,15 +1,14 @@
-"""Define what every elastic law offers.
+"""Interface of elastic laws.
 
-A law is a frozen value that knows no mesh. Its methods take stacks of deformation
-gradients and keep the leading axes, so one point and a million points run through
-the same code.
+A law is a frozen value, independent of any mesh. Its methods take stacks of deformation
+gradients and keep the leading axes, so the same code serves one point and a million.
 
-An isochoric law sees only the change of shape, ``Fbar = J^(-1/3) F``. The solver
-adds the energy of the volume itself, ``kappa/2 (J - 1)^2``, because where it is
-taken, in each element or averaged at nodes, belongs to the discretisation.
+An isochoric law depends only on the change of shape, ``Fbar = J^(-1/3) F``. The solver
+adds the volumetric energy ``kappa/2 (J - 1)^2`` itself, because its evaluation, in each
+element or averaged at nodes, is part of the discretisation.
 
 From ``W(s F) = W(F)`` follow ``P(s F) = P(F) / s`` and ``A(s F) = A(F) / s^2``.
-The laws here use it: they work at J = 1 and scale the result.
+The laws here use this: they are evaluated at J = 1 and scaled.
 """
 
 from typing import Protocol
@@ -18,7 +17,7 @@ from palpate.storage.values import FloatArray
 
 
 class Law(Protocol):
-    """Define a hyperelastic law W(F)."""
+    """Hyperelastic law W(F)."""
 
     def energy(self, F: FloatArray) -> FloatArray:
         """Return the energy per undeformed volume.
@@ -31,7 +30,7 @@ class Law(Protocol):
         Returns
         -------
         ndarray, shape (...)
-            MPa (N mm / mm^3); zero at rest.
+            In MPa (N mm / mm^3); zero at rest.
         """
         ...
 
@@ -45,10 +44,10 @@ class Law(Protocol):
 
 
 class Isochoric(Law, Protocol):
-    """Define a law of the change of shape alone, isotropic, free of stress at rest.
+    """Isotropic law of the change of shape, stress-free at rest.
 
-    Where ``det F <= 0`` energy, stress and tangent are nan: no such body exists, and
-    a line search that meets nan turns back.
+    Where ``det F <= 0``, energy, stress and tangent are nan: no such body exists, and
+    a line search backtracks from nan.
     """
 
     @property

@@ -1,4 +1,4 @@
-"""Check what the constants of every law must satisfy."""
+"""Checks common to the constants of all laws."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -9,14 +9,14 @@ from palpate.storage.errors import InputError
 def require(
     name: str, law: object, positive: Mapping[str, float], finite: Iterable[float] = ()
 ) -> None:
-    """Refuse constants that make no elastic body.
+    """Reject constants that do not describe an elastic body.
 
     Parameters
     ----------
     name : str
-        Of the law, as a sentence begins.
+        Name of the law, as the beginning of a sentence.
     law : object
-        Its representation shows what was found.
+        Shown in the error message.
     positive : mapping of str to float
         Constants, or sums of them, that must be above zero.
     finite : iterable of float
@@ -25,7 +25,7 @@ def require(
     Raises
     ------
     InputError
-        If one is not.
+        If a constant violates its condition.
     """
     if not all(math.isfinite(value) for value in (*positive.values(), *finite)):
         raise InputError(f"{name} needs constants that are finite numbers, got {law}.")

@@ -1,4 +1,4 @@
-"""Add one family of fibres to an isotropic law."""
+"""One family of fibres, to add to an isotropic law."""
 
 from dataclasses import dataclass
 
@@ -11,39 +11,39 @@ from palpate.workers.mechanics.materials.invariants import Shape, shape_of, tang
 
 @dataclass(frozen=True, eq=False)
 class Fibres:
-    r"""Stretch fibres with a reference direction a at each point.
+    r"""Family of fibres with a reference direction a at each point.
 
     .. math:: W = \frac{\eta}{2} (I_4 - 1)^2, \quad I_4 = |F a|^2
 
-    This is a `Law`, and no `Isochoric` one: it is not isotropic, and a plain
+    This is a `Law` but not an `Isochoric` one: it is not isotropic, and a plain
     :math:`I_4` also resists a change of volume, as a real fibre does. With
-    `isochoric` the invariant is :math:`\bar I_4 = J^{-2/3} I_4`, and the energy sees
-    the change of shape alone.
+    `isochoric` the invariant is :math:`\bar I_4 = J^{-2/3} I_4`, and the energy depends
+    only on the change of shape.
 
     Parameters
     ----------
     eta_mpa : float
-        Fibre stiffness in MPa, >= 0. Pulled by a small strain e along a, the fibres
+        Fibre stiffness in MPa, >= 0. Under a small strain e along a, the fibres
         alone carry ``4 eta e``.
     directions : ndarray, shape (..., 3)
-        Directions in the undeformed body, of any length above zero; one for all
-        points, or leading axes that broadcast with those of F. Kept as unit vectors.
+        Directions in the undeformed body, of any non-zero length; one for all points, or
+        leading axes that broadcast with F. Stored as unit vectors.
     tension_only : bool
-        Fibres that are shorter than at rest carry nothing. Otherwise they push back;
-        below ``I4 = 1 - mu / (2 eta)`` or so a body then has many equilibria.
+        Whether fibres shorter than at rest carry no load. Otherwise they resist compression;
+        below about ``I4 = 1 - mu / (2 eta)`` a body then has many equilibria.
     isochoric : bool
-        Use the invariant without the change of volume. It is nan where det F <= 0; the
-        plain one is defined everywhere.
+        Whether to use the isochoric invariant. It is nan where det F <= 0; the plain one
+        is defined everywhere.
 
     Raises
     ------
     InputError
-        If the stiffness is negative or a direction has no length.
+        If the stiffness is negative or a direction has zero length.
 
     Notes
     -----
-    With `tension_only` the tangent jumps where the fibres are just straight; there, as
-    at rest, it is that of slack fibres.
+    With `tension_only` the tangent jumps where the fibres are just straight; there, and at
+    rest, it is the tangent of slack fibres.
 
     References
     ----------
@@ -114,7 +114,7 @@ class Fibres:
         return A
 
     def _pull(self, F: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the deformed fibre F a, shape (..., 3), and the strain I4 - 1 that it feels."""
+        """Return the deformed fibre F a, shape (..., 3), and its strain I4 - 1."""
         Fa = np.einsum("...iJ,...J->...i", F, self.directions)
         strain = np.einsum("...i,...i->...", Fa, Fa) - 1
         if self.tension_only:
@@ -122,7 +122,7 @@ class Fibres:
         return Fa, strain
 
     def _curvature(self, stretched: FloatArray) -> FloatArray:
-        """Return the second derivative of the energy by I4: none where fibres are slack."""
+        """Return the second derivative of the energy by I4; zero where fibres are slack."""
         return self.eta_mpa * ((stretched != 0) if self.tension_only else np.ones(stretched.shape))
 
     def _invariant(self, shape: Shape, Fa: FloatArray) -> tuple[FloatArray, FloatArray]:

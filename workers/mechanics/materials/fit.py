@@ -1,12 +1,12 @@
-"""Fit the constants of a law to tables of stress and stretch.
+"""Fits of the constants of a law to tables of stress and stretch.
 
-Every table counts the same, however many points it has and however large its
-stresses are: the residual of a point is divided by the root mean square of its table.
+All tables have equal weight, whatever their number of points and size of stresses:
+the residual of a point is divided by the root mean square of its table.
 
-The search runs over exponents and moduli together (trust region, with bounds). It
-starts at the best of many given exponents, with the moduli that are best for them;
-a law without exponents is found by linear least squares alone. Nothing is drawn at
-random: the same tables give the same law.
+The search covers exponents and moduli together (trust region, with bounds). It starts
+from the best of many given exponents, with their optimal moduli; a law without
+exponents is fitted by linear least squares alone. Nothing is random: the same tables
+give the same law.
 """
 
 from collections.abc import Sequence
@@ -22,12 +22,12 @@ from palpate.workers.mechanics.materials.base import Isochoric, Law
 from palpate.workers.mechanics.materials.homogeneous_deformation import Table, nominal_stress_mpa
 from palpate.workers.mechanics.materials.law_families import Family
 
-POLISHED = 2  # starts that are searched from to the end
-WORTHLESS = 0.999  # an error of 1 is that of no stress at all
+POLISHED = 2  # starts that are refined
+WORTHLESS = 0.999  # zero stress has an error of 1
 
 
 class Candidate(NamedTuple):
-    """Hold a point of the search, with half of its squared residual."""
+    """Point of the search, with half of its squared residual."""
 
     cost: float
     moduli: FloatArray
@@ -36,15 +36,15 @@ class Candidate(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Hold a law and how well it follows its tables.
+    """Fitted law and its errors.
 
     Parameters
     ----------
     law : Isochoric
     errors : tuple of float
-        One a table: root mean square of (law - table) over that of the table's stress.
+        One per table: root mean square of (law - table), relative to that of the table's stress.
     exponents : tuple of float
-        The exponents of the family.
+        Exponents of the family.
     """
 
     law: Isochoric
@@ -58,18 +58,18 @@ class Fit:
 
     @property
     def coefficients(self) -> dict[str, Any]:
-        """Return the constants of the law by name, units in the names."""
+        """Return the constants of the law by name, with units in the names."""
         return asdict(self.law)  # type: ignore[call-overload]
 
 
 def fit(family: Family, tables: Sequence[Table]) -> Fit:
-    """Find the least-squares constants of a law.
+    """Fit the constants of a law by least squares.
 
     Parameters
     ----------
     family : Family
     tables : sequence of Table
-        Tests of one material; kinds of test may repeat.
+        Tests of one material; a mode may occur repeatedly.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def fit(family: Family, tables: Sequence[Table]) -> Fit:
     Raises
     ------
     InputError
-        If there are fewer points than constants, or the best law has no stiffness.
+        If there are fewer points than constants, or the best law has no stiffness at rest.
     """
     points = sum(np.count_nonzero(table.stress_mpa) for table in tables)
     if points < family.constants:
@@ -106,7 +106,7 @@ def _without_stiffness(family: Family) -> InputError:
 
 
 def relative_error(law: Law, table: Table) -> float:
-    """Return the root mean square of (law - table) over that of the table's stress."""
+    """Return the root mean square of (law - table), relative to the table's stress."""
     residual = nominal_stress_mpa(law, table.mode, table.deformation) - table.stress_mpa
     return float(np.sqrt(np.mean(residual**2))) / table.rms_mpa
 
@@ -132,7 +132,7 @@ def _cost(candidate: Candidate) -> float:
 def _best_moduli(
     family: Family, exponents: FloatArray, tables: Sequence[Table], target: FloatArray
 ) -> Candidate | None:
-    """Solve linear least squares, the exponents given; None if a stress overflows."""
+    """Fit the moduli for given exponents by least squares; None if a stress overflows."""
     count = len(family.moduli_least)
     first, *others = np.eye(count)
     unit = _stresses(family, first, exponents, tables)
@@ -141,7 +141,7 @@ def _best_moduli(
     size = np.abs(A).max(axis=0)
     if not (np.isfinite(size).all() and size.all()):
         return None
-    # Columns of one size: powers of stretches differ by twenty orders of magnitude.
+    # Scale the columns: powers of stretches differ by twenty orders of magnitude.
     best = lsq_linear(A / size, target, (family.moduli_least, np.inf), method="bvls")
     return Candidate(float(best.cost), best.x / size, exponents)
 
@@ -149,7 +149,7 @@ def _best_moduli(
 def _polish(
     family: Family, start: Candidate, tables: Sequence[Table], target: FloatArray
 ) -> Candidate:
-    """Search over moduli and exponents together."""
+    """Refine moduli and exponents together."""
     count = len(start.moduli)
     least, most = family.exponent_range
 

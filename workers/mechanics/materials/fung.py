@@ -1,4 +1,4 @@
-"""Compute an exponential law of soft tissue."""
+"""Fung's exponential law of soft tissue."""
 
 from dataclasses import dataclass
 
@@ -11,19 +11,19 @@ from palpate.workers.mechanics.materials.invariants import Shape, shape_of, stre
 
 @dataclass(frozen=True, slots=True)
 class Fung:
-    r"""Stiffen tissue exponentially, as its collagen is drawn straight.
+    r"""Exponentially stiffening law, as collagen is straightened.
 
     .. math:: W = \frac{\mu}{2 b} \left( e^{b (\bar I_1 - 3)} - 1 \right)
 
-    The isotropic form of Fung's exponential, with the strain measured by the first
-    invariant (Demiray 1972). As b goes to zero it becomes neo-Hookean.
+    Isotropic form of Fung's exponential in the first invariant (Demiray 1972). As b goes to
+    zero it becomes neo-Hookean.
 
     Parameters
     ----------
     mu_mpa : float
         Shear modulus at rest in MPa, > 0.
     b : float
-        Rate of stiffening, > 0, without unit.
+        Rate of stiffening, > 0, dimensionless.
 
     Raises
     ------

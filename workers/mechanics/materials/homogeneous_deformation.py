@@ -1,8 +1,8 @@
-r"""Compute laboratory tests in which the deformation is the same everywhere.
+r"""Laboratory tests with homogeneous deformation.
 
 Tissue and rubber keep their volume in such tests, so the pressure follows from the
-free face 3 of the specimen, ``sigma_33 = 0``, and not from a law. In the directions
-of the load the nominal stress (force per undeformed area) is
+free face 3 of the specimen, ``sigma_33 = 0``, and not from a law. Along the load the
+nominal stress (force per undeformed area) is
 
 .. math:: P = P_{11} - P_{33} \lambda_3 / \lambda_1 .
 
@@ -22,11 +22,11 @@ from palpate.workers.mechanics.materials.base import Law
 
 
 class Mode(StrEnum):
-    """Name how the specimen is loaded, and what its table lists first."""
+    """Loading of a specimen, which defines the first column of its table."""
 
     UNIAXIAL = "uniaxial"  # stretch along the load, tension or compression
     EQUIBIAXIAL = "equibiaxial"  # stretch in both directions of the sheet
-    PLANAR = "planar"  # stretch of a wide strip, its width held: pure shear
+    PLANAR = "planar"  # stretch of a wide strip of constant width: pure shear
     SIMPLE_SHEAR = "simple shear"  # amount of shear, displacement over height
 
 
@@ -40,7 +40,7 @@ POWERS = {
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Hold one test of one material.
+    """One test of one material.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Table:
     deformation : ndarray, shape (n,)
         Stretch along the load, > 0; in simple shear the amount of shear.
     stress_mpa : ndarray, shape (n,)
-        Nominal stress, of the direction of the load or of the shear.
+        Nominal stress along the load or the shear.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def deformation_gradient(mode: Mode, deformation: FloatArray) -> FloatArray:
 
 
 def nominal_stress_mpa(law: Law, mode: Mode, deformation: FloatArray) -> FloatArray:
-    """Return the stress that a law answers with in a test.
+    """Return the stress of a law in a test.
 
     Parameters
     ----------

@@ -1,11 +1,11 @@
-r"""Compute the invariants of the change of shape and their derivatives.
+r"""Invariants of the change of shape and their derivatives.
 
 .. math:: \bar I_1 = \operatorname{tr} \bar C, \quad
           \bar I_2 = \tfrac12 (\bar I_1^2 - \operatorname{tr} \bar C^2), \quad
           \bar C = J^{-2/3} F^T F .
 
-A law :math:`W(\bar I_1, \bar I_2)` gives its slopes and curvatures, and finds here
-its stress and tangent. With :math:`F` scaled to J = 1, :math:`G = F^{-T}` and an
+The slopes and curvatures of a law :math:`W(\bar I_1, \bar I_2)` are converted to stress
+and tangent. With :math:`F` scaled to J = 1, :math:`G = F^{-T}` and an
 invariant I of degree d in F (2 or 4), the gradient of :math:`\bar I = J^{-d/3} I` is
 
 .. math:: g = I' - \tfrac{d}{3} I G
@@ -15,7 +15,7 @@ and its second derivative, with :math:`\partial G_{iJ} / \partial F_{kL} = -G_{i
 .. math:: \bar I'' = I'' - \tfrac{d}{3} (g \otimes G + G \otimes g)
           - \tfrac{d^2}{9} I\, G \otimes G + \tfrac{d}{3} I\, G_{iL} G_{kJ} .
 
-The outer products of a law are summed as one product of matrices, ``V M V^T`` with
+The outer products of a law are summed as one matrix product, ``V M V^T`` with
 the vectors g1, g2, G, F in the columns of V.
 
 References
@@ -35,7 +35,7 @@ Scalar = FloatArray | float
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Hold deformation gradients freed of their change of volume.
+    """Isochoric part of deformation gradients.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ class Shape:
     G : ndarray, shape (..., 3, 3)
         Its inverse, transposed.
     scale : ndarray, shape (...)
-        ``J^(-1/3)`` of the original: derivatives by the original F carry this factor
-        once each.
+        ``J^(-1/3)`` of the original: each derivative by the original F contributes this
+        factor once.
     """
 
     F: FloatArray
@@ -66,7 +66,7 @@ class Shape:
     def I2(self) -> FloatArray:
         """Return the second invariant, shape (...); 3 at rest.
 
-        The first invariant of the inverse: det C = 1.
+        It equals the first invariant of the inverse, because det C = 1.
         """
         return np.einsum("...iJ,...iJ->...", self.G, self.G)
 
@@ -82,7 +82,7 @@ class Shape:
 
 
 def shape_of(F: FloatArray) -> Shape:
-    """Take the change of volume out of deformation gradients of shape (..., 3, 3)."""
+    """Remove the change of volume from deformation gradients of shape (..., 3, 3)."""
     cofactor = np.cross(F[..., [1, 2, 0], :], F[..., [2, 0, 1], :])
     J = np.einsum("...J,...J->...", F[..., 0, :], cofactor[..., 0, :])
     J = np.where(J.real > 0, J, np.nan)
@@ -97,7 +97,7 @@ def stress(shape: Shape, w1: Scalar, w2: Scalar | None = None) -> FloatArray:
     ----------
     shape : Shape
     w1, w2 : ndarray of shape (...) or float
-        Slopes dW/dI1bar and dW/dI2bar in MPa; without `w2` the law knows I1bar only.
+        Slopes dW/dI1bar and dW/dI2bar in MPa; without `w2` the law depends on I1bar only.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def tangent_of_quadratic(
     g : ndarray, shape (..., 3, 3)
         Its gradient at fixed volume, ``2 F S - 2/3 I G``.
     S : ndarray, shape (..., 3, 3)
-        Unity for I1, the dyad of the direction for the stretch of a fibre.
+        Identity for I1, the dyad of the direction for a fibre's stretch.
     w, ww : ndarray of shape (...) or float
         First and second derivative of W by I in MPa.
 

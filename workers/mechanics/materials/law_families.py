@@ -1,8 +1,8 @@
-"""Offer laws with their constants still open, in the form in which they are fitted.
+"""Families of laws with free constants, in the form used for fitting.
 
-The stress of a law is linear in some constants, its moduli, and not in the others,
-its exponents. With exponents given, the best moduli follow from linear least squares,
-so only exponents need a search, and only they need a place to start from.
+The stress of a law is linear in some constants, its moduli, and nonlinear in the others,
+its exponents. For given exponents the best moduli follow from linear least squares,
+so only exponents need a search and starting values.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,18 +27,18 @@ RATES = tuple((float(b),) for b in np.geomspace(1e-3, 100, 11))
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Describe one form of law.
+    """Family of laws of one form.
 
     Parameters
     ----------
     name : str
     build : callable
-        Makes the law of moduli in MPa and exponents. The first modulus is above zero
-        for every law, and a law may be built of the first alone.
+        Makes a law from moduli in MPa and exponents. The first modulus is above zero for
+        every law, and is sufficient to build one.
     moduli_least : tuple of float
         Lower bound of each modulus, 0 or minus infinity.
     starts : tuple of tuple of float
-        Exponents to start a search from; one empty tuple if there are none.
+        Starting values of the exponents; one empty tuple if there are none.
     exponent_range : tuple of float, or of sequences of float
         Bounds of every exponent, or of each.
     """
@@ -51,7 +51,7 @@ class Family:
 
     @property
     def constants(self) -> int:
-        """Return how many numbers a fit has to find."""
+        """Return the number of constants to fit."""
         return len(self.moduli_least) + len(self.starts[0])
 
 
@@ -69,15 +69,15 @@ FUNG = Family("Fung", lambda m, b: Fung(float(m[0]), float(b[0])), (0.0,), RATES
 
 
 def ogden(terms: int) -> Family:
-    """Return Ogden's law, each term of which adds stiffness.
+    """Return the family of Ogden laws whose terms all add stiffness.
 
-    A term with ``mu alpha >= 0`` keeps the law stable in every deformation; fitted
-    without that bound, terms of opposite sign follow the table and misbehave next to it.
+    Terms with ``mu alpha >= 0`` keep the law stable in every deformation; without that
+    bound, fitted terms of opposite sign follow the table and misbehave outside it.
 
     Parameters
     ----------
     terms : int
-        1 to 4; a table of a few dozen points decides no more.
+        1 to 4; a table of a few dozen points cannot determine more.
 
     Raises
     ------

@@ -1,13 +1,13 @@
-r"""Fit laws that a file can choose to tables, and compare the fits.
+r"""Fits of the available laws to tables, and their comparison.
 
-Fits are ranked by the corrected Akaike information criterion of n points and k constants, of
-which the variance of the points is one,
+Fits are ranked by the corrected Akaike information criterion of n points and k constants, one
+of which is the variance of the points,
 
 .. math:: \mathrm{AICc} = n \ln e^2 + 2 k + \frac{2 k (k + 1)}{n - k - 1} ,
 
-with e the relative error of the fit. It takes the deviations of all points as independent. Those of
-a digitised or smoothed curve are not, and what no law follows is no noise either: small differences
-then mean less than they seem to.
+with e the relative error of the fit. It assumes independent deviations of all points. Deviations
+of a digitised or smoothed curve are not independent, and misfits common to all laws are not
+noise: small differences then mean less than they seem to.
 
 References
 ----------
@@ -30,26 +30,26 @@ from palpate.workers.mechanics.materials.law_plugins import LawPlugin
 
 # Laws within this of the best AICc are supported about as well (Burnham and Anderson, section 2.6).
 EQUALLY_WELL = 2.0
-# Relative error below which fits do not differ: that of a table with three digits.
+# Relative error below which fits do not differ: the rounding of a table with three digits.
 LEAST_ERROR = 1e-3
-# Starts of a law without a family of its own, in all.
+# Total number of starts for a law without a family.
 STARTS = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawFit:
-    """A law that was fitted to tables.
+    """Law fitted to tables.
 
     Parameters
     ----------
     plugin : LawPlugin
     shear_modulus_mpa : float
-        At rest.
+        Shear modulus at rest.
     shape : mapping of str to float
-        Shape constants by their names in the plug-in, inside units.
+        Shape constants by their names in the plug-in, in inside units.
     fit : Fit
     aicc : float
-        See above; infinite where there are too few points to compare laws.
+        See above; infinite if there are too few points to compare laws.
     """
 
     plugin: LawPlugin
@@ -60,7 +60,7 @@ class LawFit:
 
     @property
     def constants(self) -> dict[str, float]:
-        """The shape constants as a file names them, without a tissue, in units at the door."""
+        """Shape constants under their names and units in a file, without a tissue."""
         return {
             long.door_name: long.unit.to_door(self.shape[p.name])
             for p, long in zip(self.plugin.parameters, self.plugin.constants(), strict=True)
@@ -79,7 +79,7 @@ def fit_law(plugin: LawPlugin, tables: Sequence[Table]) -> LawFit:
     Raises
     ------
     InputError
-        As `workers.mechanics.materials.fit.fit` does, and if there are fewer points than constants.
+        See `workers.mechanics.materials.fit.fit`; also if there are fewer points than constants.
     """
     points = sum(int(np.count_nonzero(table.stress_mpa)) for table in tables)
     constants = len(plugin.parameters) + 1
@@ -112,7 +112,7 @@ def _aicc(error: float, points: int, constants: int) -> float:
 
 
 def _family(plugin: LawPlugin) -> Family:
-    """Return the form in which any law is fitted: its modulus is linear, its shape is searched."""
+    """Return a family for any law: linear in its modulus, with a search over its shape."""
     names = [p.name for p in plugin.parameters]
     bounds = [p.bounds for p in plugin.parameters]
     each = max(2, int(STARTS ** (1 / max(len(names), 1))))

@@ -1,11 +1,11 @@
-"""The laws that a file chooses by name, as plug-ins.
+"""Material laws as plug-ins, which files choose by name.
 
-A law is stated as its shear modulus at rest, mu0, and its shape constants, which say how it
-departs from a neo-Hookean body as it is strained. A distribution offers a `LawPlugin` as an entry
+A law is given by its shear modulus at rest, mu0, and its shape constants, which describe its
+deviation from a neo-Hookean law under strain. A distribution provides a `LawPlugin` as an entry
 point of the group ``palpate.laws``.
 
-In a file a shape constant has the name of the law in front: ``yeoh_c2``, and in a breast the
-tissue behind: ``yeoh_c2_fat``.
+In a file a shape constant is prefixed by the name of the law, ``yeoh_c2``, and in a breast
+followed by the tissue, ``yeoh_c2_fat``.
 """
 
 import math
@@ -27,7 +27,7 @@ from palpate.workers.units import NUMBER
 
 DEFAULT_LAW = "neo-hookean"
 ANY = (-math.inf, math.inf)
-# The energy of an Ogden term is 0/0 at the exponent 0; nearer to it than this it does not change.
+# The energy of an Ogden term is 0/0 at the exponent 0; within this distance it is constant.
 LEAST_EXPONENT = 1e-3
 
 Values = Mapping[str, float]
@@ -35,26 +35,26 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True, eq=False)
 class LawPlugin:
-    """A law with a name.
+    """Named law.
 
     Parameters
     ----------
     name : str
-        In a file: ``yeoh``.
+        Name in a file, such as ``yeoh``.
     label : str
-        For a reader: ``Yeoh``.
+        Name for display, such as ``Yeoh``.
     parameters : tuple of Parameter
-        Shape constants. At their neutral values the law is that of the plug-in with no shape;
-        those of Palpate are neo-Hookean there.
+        Shape constants. At their neutral values the law is the plug-in's basic one; Palpate's
+        own laws are then neo-Hookean.
     make : callable
-        From the shear modulus at rest in MPa and all shape constants by name, inside units, to the
-        law. Energies are proportional to the modulus. It is also called a hair outside of the
-        admissible values, for differences.
+        Maps the shear modulus at rest in MPa and all shape constants by name, in inside units, to
+        the law. Energies are proportional to the modulus. It is also called slightly outside the
+        admissible values, for finite differences.
     family : Family, optional
-        The form in which the law is fitted to tables; without it the shape constants are searched
-        between their bounds.
+        Form used for fitting to tables; without it the shape constants are searched between
+        their bounds.
     shape : callable, optional
-        With `family`: from a law that was fitted to its shape constants.
+        With `family`: maps a fitted law to its shape constants.
     """
 
     name: str
@@ -65,7 +65,7 @@ class LawPlugin:
     shape: Callable[[Any], Values] = lambda law: {}
 
     def constants(self, tissue: str = "") -> tuple[Parameter, ...]:
-        """Return the shape constants as a file names them, of one tissue where it has several."""
+        """Return the shape constants named as in a file, of one tissue if the body has several."""
         prefix, suffix = _prefix(self.name), f"_{tissue}" if tissue else ""
         of = f" of {tissue}" if tissue else ""
         return tuple(
@@ -78,14 +78,14 @@ class LawPlugin:
         )
 
     def law(self, shear_modulus_mpa: float, values: Values, tissue: str = "") -> Isochoric:
-        """Return the law of a body.
+        """Return the law with these constants.
 
         Parameters
         ----------
         shear_modulus_mpa : float
-            At rest, > 0.
+            Shear modulus at rest, > 0.
         values : mapping of str to float
-            Inside units, by the names of `constants`; neutral where it names none.
+            Shape constants in inside units, by the names of `constants`; missing ones are neutral.
         tissue : str
             As in `constants`.
         """
@@ -95,12 +95,12 @@ class LawPlugin:
 
 
 def law_named(name: str) -> LawPlugin:
-    """Return a law.
+    """Return the law with this name.
 
     Raises
     ------
     InputError
-        If there is none of that name; close names are suggested.
+        If there is none; close names are suggested.
     """
     found: LawPlugin = load("laws", name)
     return found
@@ -112,7 +112,7 @@ def law_names() -> tuple[str, ...]:
 
 
 def law_of_constant(name: str) -> str:
-    """Return the law with which the name of a shape constant begins, or "".
+    """Return the law that the name of a shape constant begins with, or "".
 
     Examples
     --------

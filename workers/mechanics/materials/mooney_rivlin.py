@@ -1,4 +1,4 @@
-"""Compute Mooney and Rivlin's law: a polynomial in both invariants."""
+"""Mooney-Rivlin law: a polynomial in both invariants."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from palpate.workers.mechanics.materials.invariants import Shape, shape_of, stre
 
 @dataclass(frozen=True, slots=True)
 class MooneyRivlin:
-    r"""Use the polynomial of second order; with two constants, Mooney's law of 1940.
+    r"""Polynomial of second order in both invariants; with two constants, Mooney's law of 1940.
 
     .. math:: W = c_{10} x + c_{01} y + c_{20} x^2 + c_{11} x y + c_{02} y^2,
               \quad x = \bar I_1 - 3, \quad y = \bar I_2 - 3
@@ -24,13 +24,13 @@ class MooneyRivlin:
     Raises
     ------
     InputError
-        If c10 + c01 is not positive, or a constant is no finite number.
+        If c10 + c01 is not positive, or a constant is not finite.
 
     Notes
     -----
-    Constants of five terms fitted to one kind of test often predict nonsense in
-    another; fit several kinds together (`workers.mechanics.materials.fit`). With a constant below
-    zero the energy may fall without bound at large strains, and a body then collapses.
+    Five constants fitted to one kind of test often predict nonsense for another; fit several
+    kinds together (`workers.mechanics.materials.fit`). With a negative constant the energy may
+    fall without bound at large strains, and a body then collapses.
 
     References
     ----------

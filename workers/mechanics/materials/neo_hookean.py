@@ -1,4 +1,4 @@
-"""Compute the neo-Hookean law."""
+"""Neo-Hookean law."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from palpate.workers.mechanics.materials.invariants import shape_of, stress, tan
 
 @dataclass(frozen=True, slots=True)
 class NeoHookean:
-    r"""Use one constant, good to some 30 % of strain.
+    r"""Neo-Hookean law: one constant, valid up to some 30 % strain.
 
     .. math:: W = \frac{\mu}{2} (\bar I_1 - 3)
 

@@ -1,4 +1,4 @@
-r"""Compute Ogden's law: powers of the principal stretches.
+r"""Ogden's law: powers of the principal stretches.
 
 With :math:`q_a = \bar\lambda_a^{\alpha}` of one term and their mean m,
 
@@ -13,7 +13,7 @@ undeformed body, the tangent has the entries aabb, and for a != b
           \quad D_{ab} = \frac{s_a - s_b}{\lambda_a^2 - \lambda_b^2},
           \quad s_a = \frac{\tau_a}{\lambda_a^2} .
 
-Where two stretches meet, D is 0/0. It is never formed by that division: with
+Where two stretches coincide, D is 0/0. It is never computed by that division: with
 :math:`x = \ln(\lambda_a / \lambda_b)` and :math:`\beta = \alpha/2 - 1`,
 
 .. math:: D_{ab} = \frac{\mu}{\lambda_a^2 \lambda_b^2}
@@ -39,13 +39,13 @@ Convention = Literal["ogden", "abaqus", "febio"]
 
 @dataclass(frozen=True, slots=True)
 class Ogden:
-    r"""Sum any number of powers of the principal stretches.
+    r"""Ogden's law: a sum of any number of powers of the principal stretches.
 
     .. math:: W = \sum_p \frac{\mu_p}{\alpha_p} \left( \bar\lambda_1^{\alpha_p}
               + \bar\lambda_2^{\alpha_p} + \bar\lambda_3^{\alpha_p} - 3 \right)
 
-    Three conventions are about; the constants here follow the first. Those of another
-    come in through `from_convention`.
+    Three conventions are in use; the constants here follow the first. `from_convention`
+    accepts the others.
 
     ======  ================  ===========================  ================
     name    factor of a term  used by                      mu0
@@ -58,7 +58,7 @@ class Ogden:
     Parameters
     ----------
     mu_mpa : tuple of float
-        MPa, one a term; either sign, with half of sum mu alpha, the shear modulus, > 0.
+        MPa, one per term, of either sign; half of sum mu alpha, the shear modulus, is > 0.
     alpha : tuple of float
         Exponents, none zero; 2 alone is neo-Hookean, 2 and -2 are Mooney-Rivlin.
 
@@ -97,12 +97,12 @@ class Ogden:
     def from_convention(
         cls, convention: Convention, mu_mpa: tuple[float, ...], alpha: tuple[float, ...]
     ) -> "Ogden":
-        """Make a law from moduli in another convention (see the table above).
+        """Return the law for moduli in another convention (see the table above).
 
         Raises
         ------
         InputError
-            If the convention is unknown, or as for `Ogden`.
+            If the convention is unknown, or for the reasons of `Ogden`.
         """
         factors = {"abaqus": 2.0, "febio": 1.0}
         if convention == "ogden" or len(mu_mpa) != len(alpha) or 0 in alpha:
@@ -175,7 +175,7 @@ class Ogden:
     def _slopes(
         self, log_stretch: FloatArray, stretch: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return ``d tau_a / d ln lambda_b`` and D of the head of this file, each (..., 3, 3)."""
+        """Return ``d tau_a / d ln lambda_b`` and D of the module docstring, each (..., 3, 3)."""
         slope = np.zeros((*stretch.shape, 3))
         D = np.zeros((*stretch.shape, 3))
         x = log_stretch[..., :, None] - log_stretch[..., None, :]
@@ -190,10 +190,10 @@ class Ogden:
 
 
 def _stretches(F: FloatArray, shape: Shape) -> tuple[FloatArray, FloatArray]:
-    """Return logarithms of the stretches at J = 1, (..., 3), and directions N_a in columns.
+    """Return the logarithms of the stretches at J = 1, (..., 3), and directions N_a in columns.
 
-    From the eigenvalues of ``C - 1``, formed without cancellation, so that small strains
-    keep their digits.
+    They are computed from the eigenvalues of ``C - 1``, formed without cancellation, so that
+    small strains keep their digits.
     """
     exists = np.isfinite(shape.scale)  # LAPACK refuses nan
     H = np.where(exists[..., None, None], F - np.eye(3), 0.0)

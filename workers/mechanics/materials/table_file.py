@@ -2,8 +2,8 @@
 
 One column is the deformation: ``stretch`` (1 at rest), ``strain`` or ``strain_percent`` along the
 load, or ``shear``, the amount of simple shear. One is the nominal stress, force per undeformed
-area: ``stress_kpa``, ``stress_mpa`` or ``stress_pa``. A column ``mode`` says how a row was measured
-where that is not uniaxial: ``equibiaxial`` or ``planar``. Other columns are ignored.
+area: ``stress_kpa``, ``stress_mpa`` or ``stress_pa``. A column ``mode`` marks rows of other than
+uniaxial tests: ``equibiaxial`` or ``planar``. Other columns are ignored.
 """
 
 import csv
@@ -27,7 +27,7 @@ MPA = {"stress_kpa": 1e-3, "stress_mpa": 1.0, "stress_pa": 1e-6}
 
 
 def read_tables(path: Path) -> list[Table]:
-    """Return the tables of a file, one for each mode.
+    """Read the tables of a file, one for each mode.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def _tables(path: Path) -> list[Table]:
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is no text in UTF-8: {error}. Save it as CSV.") from error
+        raise InputError(f"{path} is not UTF-8 text: {error}. Save it as CSV.") from error
     kept = [
         (n, line) for n, line in enumerate(lines, 1) if line.strip() and line.lstrip()[0] != "#"
     ]

@@ -1,4 +1,4 @@
-"""Compute Yeoh's law: a polynomial in the first invariant."""
+"""Yeoh's law: a polynomial in the first invariant."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from palpate.workers.mechanics.materials.invariants import shape_of, stress, tan
 
 @dataclass(frozen=True, slots=True)
 class Yeoh:
-    r"""Use three constants, all fitted well by a uniaxial test alone.
+    r"""Yeoh's law: three constants, which a uniaxial test determines.
 
     .. math:: W = c_1 x + c_2 x^2 + c_3 x^3, \quad x = \bar I_1 - 3
 
@@ -18,12 +18,12 @@ class Yeoh:
     c1_mpa : float
         Half the shear modulus at rest in MPa, > 0.
     c2_mpa, c3_mpa : float
-        MPa, of either sign. As a rule c2 < 0 < c3 in rubber: it softens, then stiffens.
+        MPa, of either sign. Usually c2 < 0 < c3 in rubber: it softens, then stiffens.
 
     Raises
     ------
     InputError
-        If c1 is not positive, or a constant is no finite number.
+        If c1 is not positive, or a constant is not finite.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Triangles that fill an outline, with edges along the borders of loaded places."""
+"""Meshes of an outline, with edges along the borders of loaded regions."""
 
 from collections.abc import Iterable
 from itertools import pairwise
@@ -10,11 +10,11 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, IntArray
 from palpate.workers.mechanics.sheet.model import EDGES, SheetModel
 
-# A point of the lattice keeps this part of an edge from outlines and borders of places.
+# Least distance of lattice points from outlines and borders of regions, in edge lengths.
 CLEAR = 0.6
-# Fewer edges than this along the square root of the area are no mesh.
+# Least number of edges along the square root of the area.
 FEWEST_EDGES = 4
-# Triangles may differ from the outline by this part of its area.
+# Triangles may differ from the outline by this fraction of its area.
 MOST_OFF = 1e-6
 
 
@@ -26,11 +26,11 @@ def sheet_mesh(
     Parameters
     ----------
     outline : ndarray, shape (p, 2)
-        Corners of a polygon that does not cross itself, in mm.
+        Corners of a polygon without self-intersections, in mm.
     lines : iterable of ndarray, shape (2, 2)
-        Segments along which triangles have edges.
+        Segments to follow by edges of triangles.
     nodes : int
-        Wanted number of nodes.
+        Approximate number of nodes.
     thickness_mm : float
 
     Raises
@@ -65,13 +65,13 @@ def sheet_mesh(
 
 
 def polygon_area(outline: FloatArray) -> float:
-    """Return the area of a polygon, shape (p, 2), whichever way it is listed."""
+    """Return the area of a polygon, shape (p, 2), of either orientation."""
     x, y = outline.T
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
 
 
 def _cut(line: FloatArray, others: Iterable[FloatArray]) -> list[FloatArray]:
-    """Return the pieces of a segment between the places where others cross or touch it."""
+    """Return the pieces of a segment between its intersections with others."""
     a, along = line[0], line[1] - line[0]
     length2 = float(along @ along)
     cuts = [0.0, 1.0]
@@ -82,7 +82,7 @@ def _cut(line: FloatArray, others: Iterable[FloatArray]) -> list[FloatArray]:
             t = ((b - a)[0] * way[1] - (b - a)[1] * way[0]) / cross
             s = ((b - a)[0] * along[1] - (b - a)[1] * along[0]) / cross
             cuts += [t] if -1e-9 <= s <= 1 + 1e-9 else []
-        else:  # parallel: its ends, where they lie on this one
+        else:  # parallel: its ends, where they are on this one
             for end in other:
                 off = abs((end - a)[0] * along[1] - (end - a)[1] * along[0])
                 cuts += [float((end - a) @ along) / length2] if off < 1e-9 * length2 else []
@@ -102,13 +102,13 @@ def _along(piece: FloatArray, edge: float) -> FloatArray:
 
 
 def _unique(points: FloatArray, edge: float) -> FloatArray:
-    """Return points once each that pieces share."""
+    """Return points without duplicates from shared ends of pieces."""
     _, first = np.unique(np.round(points / (1e-6 * edge)), axis=0, return_index=True)
     return np.asarray(points[np.sort(first)])
 
 
 def _lattice(outline: FloatArray, pieces: FloatArray, edge: float) -> FloatArray:
-    """Return points of a lattice of equilateral triangles inside, clear of all pieces."""
+    """Return points of a lattice of equilateral triangles inside, at a distance from all pieces."""
     low, high = outline.min(axis=0), outline.max(axis=0)
     rows = np.arange(low[1], high[1] + edge, edge * np.sqrt(3) / 2)
     columns = np.arange(low[0], high[0] + edge, edge)
@@ -120,7 +120,7 @@ def _lattice(outline: FloatArray, pieces: FloatArray, edge: float) -> FloatArray
 
 
 def _distance(points: FloatArray, segments: FloatArray) -> FloatArray:
-    """Return the distance of points, (k, 2), from the nearest of segments, (s, 2, 2)."""
+    """Return the distance of points, (k, 2), from the nearest of the segments, (s, 2, 2)."""
     found = np.full(len(points), np.inf)
     for a, b in segments:
         along = b - a
@@ -130,7 +130,7 @@ def _distance(points: FloatArray, segments: FloatArray) -> FloatArray:
 
 
 def _inside(points: FloatArray, outline: FloatArray) -> BoolArray:
-    """Return which points lie in a polygon: a ray from them crosses it an odd number of times."""
+    """Test whether points are in a polygon: a ray from each crosses it an odd number of times."""
     found = np.zeros(len(points), np.bool_)
     x, y = points.T
     for (ax, ay), (bx, by) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
@@ -141,7 +141,7 @@ def _inside(points: FloatArray, outline: FloatArray) -> BoolArray:
 
 
 def _counterclockwise(points: FloatArray, triangles: IntArray, edge: float) -> IntArray:
-    """Return triangles the same way round, without those of three points in a row."""
+    """Return triangles of uniform orientation, without degenerate ones."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
     (ux, uy), (vx, vy) = (b - a).T, (c - a).T
     doubled = ux * vy - uy * vx
@@ -150,7 +150,7 @@ def _counterclockwise(points: FloatArray, triangles: IntArray, edge: float) -> I
 
 
 def _quadratic(points: FloatArray, triangles: IntArray, thickness_mm: float) -> SheetModel:
-    """Add a node in the middle of each edge, and leave out points without a triangle."""
+    """Add a node in the middle of each edge, and drop points without a triangle."""
     used, corners = np.unique(triangles, return_inverse=True)
     points, triangles = points[used], corners.reshape(-1, 3).astype(np.int32)
     edges = np.concatenate([np.sort(triangles[:, ends], axis=1) for ends in EDGES])

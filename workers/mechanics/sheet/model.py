@@ -1,4 +1,4 @@
-"""The mesh of a sheet: 6-node triangles, their shape functions, and points between nodes."""
+"""Mesh of a sheet: 6-node triangles, their shape functions, and interpolation."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,18 +10,18 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, IntArray
 from palpate.workers.mechanics.fem.problem.fields import Frame
 
-# Barycentric coordinates of the points of integration, exact for polynomials of degree 2.
+# Barycentric coordinates of the integration points, exact for polynomials of degree 2.
 POINTS = np.full((3, 3), 1 / 6) + np.eye(3) / 2
-# Corners at the ends of the edges, in the order of the nodes 3, 4 and 5 in their middles.
+# Corners at the ends of the edges, in the order of their midside nodes 3, 4 and 5.
 EDGES = ((0, 1), (1, 2), (2, 0))
-# Weight of each corner and each middle in an even load on a triangle, and on an edge.
+# Weights of corners and midside nodes for an even load on a triangle, and on an edge.
 EVEN_AREA, EVEN_EDGE = (0.0, 1 / 3), (1 / 6, 2 / 3)
 MOST_PAIRS = 2_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class SheetModel:
-    """A flat sheet at z = 0.
+    """Flat sheet at z = 0.
 
     Parameters
     ----------
@@ -38,12 +38,12 @@ class SheetModel:
 
     @property
     def finest(self) -> "SheetModel":
-        """The mesh itself: a sheet has one."""
+        """The mesh itself: a sheet has only one."""
         return self
 
     @cached_property
     def frame(self) -> Frame:
-        """The box around the sheet."""
+        """Box around the sheet."""
         low, high = self.nodes[:, :2].min(axis=0), self.nodes[:, :2].max(axis=0)
         (x, y), (half_x, half_y) = ((low + high) / 2).tolist(), ((high - low) / 2).tolist()
         return Frame((x, y, 0.0), (half_x, half_y, self.thickness_mm / 2))
@@ -67,7 +67,7 @@ class SheetModel:
 
     @cached_property
     def gradients(self) -> FloatArray:
-        """Derivatives of the shape functions at the points of integration, (m, 3, 6, 2)."""
+        """Derivatives of the shape functions at the integration points, (m, 3, 6, 2)."""
         corners = self.nodes[self.triangles[:, :3], :2]
         # Rows of the inverse are the gradients of the last two barycentric coordinates.
         inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
@@ -76,7 +76,7 @@ class SheetModel:
 
     @cached_property
     def places(self) -> FloatArray:
-        """Points of integration, shape (m, 3, 3)."""
+        """Integration points, shape (m, 3, 3)."""
         return np.einsum("qn,mnx->mqx", shapes(POINTS), self.nodes[self.triangles])
 
     @cached_property
@@ -87,13 +87,13 @@ class SheetModel:
         return np.asarray(edges[first[count == 1]])
 
     def shares(self, inside: BoolArray) -> FloatArray:
-        """Return how an even load on a region is shared by the nodes, shape (n,), of sum 1.
+        """Return the nodes' shares of an even load on a region, shape (n,), with sum 1.
 
         Parameters
         ----------
         inside : ndarray of bool, shape (n,)
-            Nodes of the region: of triangles, or of edges of the outline; else single nodes,
-            which share evenly.
+            Nodes of the region. If they include no triangle, edges of the outline are loaded;
+            without edges, single nodes share the load evenly.
         """
         found = np.zeros(len(self.nodes))
         whole = inside[self.triangles].all(axis=1)
@@ -112,7 +112,7 @@ class SheetModel:
         Parameters
         ----------
         points : ndarray, shape (k, 3)
-            In mm; a point off the sheet belongs to the nearest triangle, which is continued.
+            In mm; points off the sheet are extrapolated from the nearest triangle.
         farthest_mm : float
 
         Raises

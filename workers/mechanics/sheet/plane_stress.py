@@ -1,4 +1,4 @@
-r"""Any three-dimensional law in a sheet whose faces carry no load.
+r"""Plane stress of any three-dimensional law in a sheet with unloaded faces.
 
 The sheet has the metric :math:`C_{ab} = f_a \cdot f_b` of its deformed tangents. Its thickness
 stretch :math:`\lambda` makes the stress across it vanish. With
@@ -21,14 +21,14 @@ from palpate.storage.values import FloatArray
 from palpate.workers.mechanics.materials.base import Law
 
 MOST_ITERATIONS = 60
-# Of the logarithm of the thickness stretch: the last step, after which the error is about its
-# square, and the longest one.
+# Steps of the logarithm of the thickness stretch: the last one, after which the error is about
+# its square, and the longest one.
 SHORTEST, LONGEST = 1e-7, 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneStress:
-    """Response of q points of a sheet.
+    """Response at q points of a sheet.
 
     Parameters
     ----------
@@ -54,11 +54,11 @@ def plane_stress(
     C : ndarray, shape (q, 2, 2)
         Right Cauchy-Green tensor in the plane of the sheet.
     law : Law
-        Change of shape.
+        Law of the change of shape.
     kappa_mpa : float
         Bulk modulus, > 0.
     near : PlaneStress, optional
-        Of a similar material under the same metric; its thickness is where the search begins.
+        Response of a similar material to the same metric; its thickness is the starting value.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         F = np.zeros((len(C), 3, 3))
@@ -74,7 +74,7 @@ def plane_stress(
 def _thickness_stretch(
     F: FloatArray, area: FloatArray, start: FloatArray, law: Law, kappa_mpa: float
 ) -> FloatArray:
-    """Return the stretch across the sheet at which no stress acts there, by Newton's method."""
+    """Return the thickness stretch for zero stress across the sheet, by Newton's method."""
     log = np.log(start)
     for _ in range(MOST_ITERATIONS):
         across = np.exp(log)

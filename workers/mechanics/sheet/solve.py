@@ -1,4 +1,4 @@
-"""Equilibria of a sheet by Newton's method in load steps, and how they move with the problem."""
+"""Equilibria of a sheet by Newton's method in load steps, and their derivatives."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -16,25 +16,25 @@ from palpate.workers.mechanics.sheet.plane_stress import PlaneStress
 from palpate.workers.mechanics.sheet.system import SheetSystem, full
 
 MOST_ITERATIONS = 15
-# The last Newton step is shorter than this part of the sheet; no step moves a node by more.
+# Bounds of the last Newton step, and of every step, as fractions of the sheet's size.
 CONVERGED, LONGEST = 1e-9, 0.3
-# A load that finds no equilibrium is applied in smaller steps, down to this one.
+# A load without an equilibrium is applied in smaller steps, down to this one.
 SMALLEST_STEP = 1 / 32
 
 
 @dataclass(frozen=True, slots=True)
 class SheetOutcome:
-    """How a simulation of a sheet has ended.
+    """Outcome of a simulation of a sheet.
 
     Parameters
     ----------
     converged : bool
     reason : str
-        Why it diverged; empty when it converged.
+        Reason for divergence; empty if it converged.
     newton_iterations : int
-        Of all load steps.
+        Total over all load steps.
     thinnest : float
-        Smallest thickness over that at rest.
+        Smallest ratio of the thickness to the thickness at rest.
     """
 
     converged: bool
@@ -43,13 +43,13 @@ class SheetOutcome:
     thinnest: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain JSON-able values."""
+        """Return the values as a JSON-serialisable dict."""
         return asdict(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SheetSolution:
-    """Displacement of the nodes, shape (n, 3) in mm, and how it was reached."""
+    """Displacement of the nodes, shape (n, 3) in mm, and the outcome."""
 
     displacement_mm: FloatArray
     outcome: SheetOutcome
@@ -61,14 +61,14 @@ class NotFoundError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class SheetEquilibrium:
-    """A sheet at the end of its loading.
+    """Sheet at the end of its loading.
 
     Parameters
     ----------
     system : SheetSystem
     solution : SheetSolution
     response : PlaneStress
-        Stress and thickness at the points of integration.
+        Stress and thickness at the integration points.
     """
 
     system: SheetSystem
@@ -77,12 +77,12 @@ class SheetEquilibrium:
 
     @property
     def problem(self) -> Problem:
-        """The problem that was solved."""
+        """Problem that was solved."""
         return self.system.problem
 
     @property
     def reactions(self) -> FloatArray:
-        """Forces on the sheet that hold its held nodes, shape (n, 3), in N."""
+        """Reactions at the held nodes, shape (n, 3), in N."""
         held, _ = self.system.prescribed
         return np.where(held, self._inner_n - self.system.outer_n(self._x), 0.0)
 
@@ -97,7 +97,7 @@ class SheetEquilibrium:
         return np.asarray((pushed / J[..., None, None]).mean(axis=1))
 
     def tangents(self, changes: Sequence[Change]) -> tuple[FloatArray, FloatArray]:
-        """Return how nodes and reactions follow changes of the problem.
+        """Return the derivatives of displacements and reactions by changes of the problem.
 
         Returns
         -------
@@ -152,7 +152,7 @@ class SheetEquilibrium:
         return self.system if problem is self.problem else SheetSystem(self.system.model, problem)
 
     def _force(self, system: SheetSystem) -> FloatArray:
-        """Return the out-of-balance force of this place under another problem, shape (n, 3)."""
+        """Return the out-of-balance force here under another problem, shape (n, 3)."""
         own = self.problem
         is_same = system.problem.constants == own.constants
         if is_same and system.problem.variations == own.variations:
@@ -165,7 +165,7 @@ class SheetEquilibrium:
 def equilibrium(
     model: SheetModel, problem: Problem, start_mm: FloatArray | None = None
 ) -> SheetEquilibrium:
-    """Load a sheet; not to converge is an ordinary outcome.
+    """Load a sheet; failure to converge is an ordinary outcome.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def equilibrium(
     Raises
     ------
     InputError
-        If the problem has what a sheet cannot carry.
+        If the problem has a feature that sheets do not support.
     """
     system = SheetSystem(model, problem)
     counted: list[int] = []
@@ -198,7 +198,7 @@ def equilibrium(
 
 
 def _in_steps(system: SheetSystem, counted: list[int]) -> tuple[FloatArray, str]:
-    """Return the displacement from rest, and why it is none; empty if it is."""
+    """Return the displacement from rest, and a reason for failure; empty if it converged."""
     u, done, step = np.zeros_like(system.model.nodes), 0.0, 1.0
     while done < 1:
         part = min(1.0, done + step)
@@ -216,7 +216,7 @@ def _in_steps(system: SheetSystem, counted: list[int]) -> tuple[FloatArray, str]
 def _newton(
     system: SheetSystem, start_mm: FloatArray, part: float, counted: list[int]
 ) -> FloatArray:
-    """Return the displacement under a part of the load.
+    """Return the displacement under a fraction of the load.
 
     Raises
     ------
@@ -226,7 +226,7 @@ def _newton(
     held, moved = system.prescribed
     free = np.flatnonzero(~held.ravel())
     u = start_mm.copy()
-    # The first step brings held places to where they belong, and all else along.
+    # The first step moves held nodes to their prescribed positions, and the others with them.
     gap = np.where(held, part * moved - u, 0.0)
     size = system.model.size_mm
     counted.append(0)
@@ -258,11 +258,11 @@ def _newton(
 
 
 def _bulged(system: SheetSystem, part: float) -> FloatArray:
-    r"""Return the displacement with which Newton's method begins, shape (n, 3).
+    r"""Return the initial displacement for Newton's method, shape (n, 3).
 
-    A flat sheet has no stiffness out of its plane. Under a pressure p it begins as one of
-    radius a with the tension :math:`N = 0.43 (E t p^2 a^2)^{1/3}` of H. Hencky, Z. Math. Phys.
-    63 (1915) 311-317, in all of it.
+    A flat sheet has no stiffness out of its plane. Under a pressure p it starts with the
+    uniform tension :math:`N = 0.43 (E t p^2 a^2)^{1/3}` of a sheet of radius a (H. Hencky,
+    Z. Math. Phys. 63 (1915) 311-317).
     """
     model, load = system.model, part * system.out_of_plane
     u = np.zeros_like(model.nodes)

@@ -28,19 +28,19 @@ CROSS[[0, 1, 2], [2, 0, 1], [1, 2, 0]] = -1.0
 
 @dataclass(frozen=True, eq=False)
 class SheetSystem:
-    """A sheet with its material and loads.
+    """Sheet with its material and loads.
 
     Parameters
     ----------
     model : SheetModel
     problem : Problem
-        Of one tissue. A pressure pushes along the normal that points to +z at rest. A sheet that
-        nothing pulls out of its plane stays in it.
+        Problem with one tissue. A pressure acts along the normal that points to +z at rest. A
+        sheet without forces out of its plane stays in it.
 
     Raises
     ------
     InputError
-        If the problem has what a sheet cannot carry.
+        If the problem has a feature that sheets do not support.
     """
 
     model: SheetModel
@@ -53,7 +53,7 @@ class SheetSystem:
             "springs": p.attachments or any(p.wall.spring_mpa_per_mm),
             "weight in its image": any(p.imaged_gravity_g),
             "fibres": c.fibre_mpa or c.second_fibre_mpa,
-            "growth": c.growth != 1,
+            "tissue growth": c.growth != 1,
         }
         found = [name for name, given in refused.items() if given]
         if found:
@@ -61,12 +61,12 @@ class SheetSystem:
 
     @property
     def constants(self) -> Constants:
-        """Of its material."""
+        """Constants of its material."""
         return next(iter(self.problem.constants.values()))
 
     @property
     def law(self) -> Law:
-        """The law of the change of shape."""
+        """Law of the change of shape."""
         c = self.constants
         if c.law is not None:
             return c.law
@@ -74,13 +74,13 @@ class SheetSystem:
 
     @cached_property
     def volumes(self) -> FloatArray:
-        """Volume of each point of integration, shape (m, 3), in mm^3."""
+        """Volume of each integration point, shape (m, 3), in mm^3."""
         each = self.model.areas * self.model.thickness_mm / 3
         return np.repeat(each[:, None], 3, axis=1)
 
     @cached_property
     def stiffnesses(self) -> FloatArray:
-        """Volumes times the factors of the stiffness there, shape (m, 3)."""
+        """Volumes times the stiffness factors, shape (m, 3)."""
         log = np.zeros(self.volumes.size)
         for variation in self.problem.variations:
             log += variation.log_factor(self.model.places.reshape(-1, 3))
@@ -88,7 +88,7 @@ class SheetSystem:
 
     @cached_property
     def pressure_mpa(self) -> FloatArray:
-        """Pressure at the points of integration, shape (m, 3)."""
+        """Pressure at the integration points, shape (m, 3)."""
         places = self.model.places.reshape(-1, 3)
         total = np.zeros(len(places))
         for pressure in self.problem.pressures:
@@ -97,7 +97,7 @@ class SheetSystem:
 
     @cached_property
     def dead_n(self) -> FloatArray:
-        """Weight and forces that keep their direction, shape (n, 3)."""
+        """Weight and forces of constant direction, shape (n, 3)."""
         model, force = self.model, np.zeros_like(self.model.nodes)
         if any(self.problem.gravity_g):
             mass = self.constants.density_t_per_mm3 * self.volumes.sum()
@@ -110,7 +110,7 @@ class SheetSystem:
 
     @cached_property
     def prescribed(self) -> tuple[BoolArray, FloatArray]:
-        """Which components of displacement are held, and at what, (n, 3) each, in mm."""
+        """Mask of held displacement components, and their values in mm, (n, 3) each."""
         nodes = self.model.nodes
         held, moved = np.zeros(nodes.shape, np.bool_), np.zeros_like(nodes)
         for hold in self.problem.holds:
@@ -129,17 +129,17 @@ class SheetSystem:
         return np.asarray(self.outer_n(self.model.nodes)[:, 2])
 
     def is_folded(self, u: FloatArray) -> bool:
-        """Return whether a sheet that stays in its plane is turned over somewhere."""
+        """Test whether a sheet that stays in its plane is folded over somewhere."""
         f = self.tangents_of_plane(self.model.nodes + u)[..., :2, :]
         return bool(not self.out_of_plane.any() and (np.linalg.det(f) <= 0).any())
 
     def tangents_of_plane(self, x: FloatArray) -> FloatArray:
-        """Return the deformed tangents at the points of integration, (m, 3, 3, 2)."""
+        """Return the deformed tangents at the integration points, (m, 3, 3, 2)."""
         corners = x[self.model.triangles]
         return np.einsum("mni,mqna->mqia", corners, self.model.gradients, optimize=True)
 
     def response(self, x: FloatArray, near: PlaneStress | None = None) -> PlaneStress:
-        """Return stress and tangent at all points of integration, one after another.
+        """Return stress and tangent at all integration points.
 
         See `plane_stress` for `near`.
         """
@@ -148,14 +148,14 @@ class SheetSystem:
         return plane_stress(C, self.law, self.constants.kappa_mpa, near)
 
     def inner_n(self, x: FloatArray, found: PlaneStress) -> FloatArray:
-        """Return what stretching the sheet takes at each node, shape (n, 3)."""
+        """Return the internal force on each node due to stretching, shape (n, 3)."""
         f = self.tangents_of_plane(x)
         S = full(found.stress).reshape(*f.shape[:2], 2, 2) * self.stiffnesses[..., None, None]
         each = np.einsum("mqia,mqab,mqnb->mni", f, S, self.model.gradients, optimize=True)
         return self._at_nodes(each)
 
     def outer_n(self, x: FloatArray, part: float = 1.0) -> FloatArray:
-        """Return a part of the loads at each node, shape (n, 3)."""
+        """Return a fraction of the load on each node, shape (n, 3)."""
         if not self.pressure_mpa.any():
             return part * self.dead_n
         f = self.tangents_of_plane(x)

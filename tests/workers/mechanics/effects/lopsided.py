@@ -14,7 +14,7 @@ __all__ = ["HALF_MM", "busy", "plain", "problem", "volume"]
 
 
 def problem(load: Load, **options: object) -> Problem:
-    """Fat and gland with fibres and a loose hold of the chest wall."""
+    """Return a problem of fat and gland with fibres, loosely held at the chest wall."""
     return Problem(
         constants={
             Tissue.FAT: Constants(0.010, NU, 0.02),
@@ -26,12 +26,12 @@ def problem(load: Load, **options: object) -> Problem:
 
 
 def plain() -> Problem:
-    """Two flat plates and nothing else."""
+    """Return a problem with two flat plates and nothing else."""
     return problem(ForceControl(20.0, -33.0, 33.0))
 
 
 def busy() -> Problem:
-    """Nearly every field away from its default, to see that effects leave it alone."""
+    """Return a problem with nearly all fields off their defaults, which effects must keep."""
     tilted = Plate(tilt_deg=(1.0, -2.0), bow_per_mm=(1e-3, 2e-3))
     return problem(
         ForceControl(20.0, -33.0, 33.0, Device(upper=tilted, friction=0.1, lower_share=0.3)),

@@ -1,4 +1,4 @@
-"""What each effect writes, worked out by hand."""
+"""Changes made by each effect, worked out by hand."""
 
 import math
 from dataclasses import replace
@@ -41,7 +41,7 @@ def test_plates():
     assert tilted.load.device.lower == busy().load.device.lower
     shorter = effect("plate_edge").apply(plain(), {"plate_edge": 7.0}, FRAME)
     wall_mm = 20.0 - HALF_MM[2]
-    # The rounding of 2 mm lies in front of the edge.
+    # The rounding of 2 mm is in front of the edge.
     rounded = 2.0 * (1 - np.exp(-3.5))
     assert shorter.load.device.edge_mm == pytest.approx(wall_mm + 7.0 + rounded)
     further = effect("plate_edge").apply(shorter, {"plate_edge": 1.0}, FRAME)
@@ -51,7 +51,7 @@ def test_plates():
         assert not effect(name).acts_on(loose, FRAME)
 
 
-def test_volume_of_glandular_tissue_alone():
+def test_compressibility_of_glandular_tissue_alone():
     """From nu = 0.49, 1 - 2 nu = 0.02, to three times that."""
     moved = effect("compressibility_contrast").apply(
         plain(), {"ln_compressibility_contrast": math.log(3.0)}, FRAME
@@ -63,7 +63,7 @@ def test_volume_of_glandular_tissue_alone():
     assert moved.constants[Tissue.GLANDULAR].young_mpa == was[Tissue.GLANDULAR].young_mpa
 
 
-def test_a_sheared_image_is_moved_by_the_matrix_of_the_shear():
+def test_image_shear_equals_the_shear_matrix():
     points = np.random.default_rng(3).uniform(-30.0, 30.0, (40, 3))
     normals = np.random.default_rng(4).standard_normal((40, 3))
     tissues = np.full(40, Tissue.FAT)
@@ -74,8 +74,8 @@ def test_a_sheared_image_is_moved_by_the_matrix_of_the_shear():
     np.testing.assert_allclose(found, (moved * normals).sum(axis=1), atol=1e-12)
 
 
-def test_wall():
-    """Compliances add in series, holds in parallel."""
+def test_wall_compliance_and_hold():
+    """Compliances add in series, springs in parallel."""
     compliance = MM_PER_KPA.to_inside(0.1)
     assert compliance == 100.0
     wall = effect("wall_compliance").apply(plain(), {"wall_compliance": compliance}, FRAME).wall
@@ -89,8 +89,8 @@ def test_wall():
     assert not effect("wall_hold").acts_on(glued, FRAME)
 
 
-def test_attachments_add_to_those_that_are_there():
-    """The middle of the body lies at (1, -2, 20) mm."""
+def test_attachment_is_added_to_existing_ones():
+    """The middle of the body is at (1, -2, 20) mm."""
     where = {"attachment_x": 10.0, "attachment_z": -20.0, "attachment_radius": 8.0}
     held = effect("local_attachment").apply(
         plain(), where | {"attachment_stiffness_y": KPA_PER_MM.to_inside(0.5)}, FRAME
@@ -142,7 +142,7 @@ def test_fibres():
     assert effect("fibre_fan").apply(own, {"fibre_fan_y": 1.0}, FRAME).fibres.frame == Frame()
 
 
-def test_second_fibres_run_across():
+def test_direction_of_second_fibres():
     s = math.sqrt(0.5)
     oblique = plain()
     device = replace(oblique.load.device, axis=(s, s, 0.0))
@@ -172,8 +172,8 @@ def test_materials():
     assert stiffer.constants[Tissue.GLANDULAR].stiffening == 1.5
 
 
-def test_a_law_of_its_own_relaxes_too():
-    """Creep multiplies the energy; so the law's stress and tangent, too."""
+def test_creep_scales_a_chosen_law():
+    """Creep multiplies the energy, and therefore stress and tangent."""
     own = replace(plain().constants[Tissue.FAT], law=Yeoh(0.002, 0.001))
     base = replace(plain(), constants={Tissue.FAT: own})
     law = effect("creep").apply(base, {"creep": 0.25}, FRAME).constants[Tissue.FAT].law
@@ -199,7 +199,7 @@ def test_skin():
     assert scaled.thickness_mm == 1.5
 
 
-def test_a_scan_that_is_too_large_shows_the_skin_farther_out():
+def test_image_scale_moves_the_skin_outwards():
     """1 % along x, 40 mm from the middle: 0.4 mm where the skin faces x, 3/5 of it elsewhere."""
     points = np.array([[41.0, -2.0, 20.0], [41.0, 28.0, 20.0]])
     normals = np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0]])

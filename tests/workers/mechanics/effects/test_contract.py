@@ -1,4 +1,4 @@
-"""What every effect promises, whatever the solver."""
+"""Contract of every effect, independent of the solver."""
 
 import math
 import pickle
@@ -24,7 +24,7 @@ from tests.workers.mechanics.effects.lopsided import HALF_MM, busy, plain, probl
 effect = CATALOGUE.named
 FRAME = Frame((1.0, -2.0, 20.0), tuple(HALF_MM))
 PROBLEMS = (plain(), busy())
-# Those of the body and of its load.
+# Effects on the body and its load.
 ON_PROBLEM = [e for e in BREAST_EFFECTS if e.observation is None]
 ON_IMAGE = [e for e in BREAST_EFFECTS if e.observation is not None]
 every = pytest.mark.parametrize("e", BREAST_EFFECTS, ids=lambda e: e.name)
@@ -33,7 +33,7 @@ on_image = pytest.mark.parametrize("e", ON_IMAGE, ids=lambda e: e.name)
 
 
 def same(a, b):
-    """Equality of problems to rounding, number by number."""
+    """Test whether problems are equal up to rounding, number by number."""
     if isinstance(a, float) or isinstance(b, float):
         return a == pytest.approx(b, rel=1e-13, abs=1e-15)
     if hasattr(a, "__dataclass_fields__"):
@@ -53,7 +53,7 @@ def test_neutral_changes_nothing(e, base):
     assert e.apply(base, {}, FRAME) is base
     assert e.apply(base, e.neutral, FRAME) is base
     neutral = e.transform(base, e.neutral, FRAME)
-    # A gradient of zero, and fibres of no stiffness along another axis, are written down.
+    # A zero gradient, and fibres without stiffness along another axis, remain in the problem.
     bare = replace(neutral, variations=base.variations, fibres=base.fibres)
     assert same(bare, base)
     points = np.random.default_rng(0).uniform(-40, 40, (20, 3))
@@ -76,7 +76,7 @@ def test_each_plausible_value_changes_something(e, base):
 
 
 @every
-def test_parameters_are_whole(e):
+def test_parameters_are_complete(e):
     assert e.summary.endswith(".")
     assert e.references
     assert all(e.references)
@@ -104,7 +104,7 @@ def test_names_are_one_vocabulary():
 
 
 @every
-def test_nothing_is_mutated(e):
+def test_arguments_are_not_mutated(e):
     for base in (plain(), busy()):
         before = deepcopy(base)
         e.apply(base, e.plausible, FRAME)
@@ -126,7 +126,7 @@ def test_families_commute(first, second, base):
     assert same(after(base, first, second), after(base, second, first))
 
 
-def test_the_catalogue_applies_what_is_named():
+def test_catalogue_applies_the_named_effects():
     values = {"tilt_depth": 2.0, "creep": 0.2, "stiffening": 1.0}
     made = CATALOGUE.apply(plain(), values, FRAME)
     expected = effect("plate_tilt").apply(plain(), {"tilt_depth": 2.0}, FRAME)
@@ -137,7 +137,7 @@ def test_the_catalogue_applies_what_is_named():
         CATALOGUE.apply(plain(), {"tild_depth": 1.0}, FRAME)
 
 
-def test_unknown_effect_and_value():
+def test_rejects_unknown_names_and_invalid_values():
     with pytest.raises(InputError, match="did you mean 'plate_friction'"):
         effect("plate_fricton")
     with pytest.raises(InputError, match="friction must be at least 0"):
@@ -147,7 +147,7 @@ def test_unknown_effect_and_value():
     assert not {name for name, _ in CATALOGUE.not_simulated} & {e.name for e in BREAST_EFFECTS}
 
 
-def test_an_effect_must_be_whole():
+def test_rejects_incomplete_effects():
     friction = effect("plate_friction")
     with pytest.raises(InputError, match="prior_sd > 0 for each of its 1"):
         replace(friction, prior_sd=())
@@ -160,7 +160,7 @@ def test_an_effect_must_be_whole():
         replace(friction, parameters=(loose,))
 
 
-def test_special_treatment_is_a_field_that_must_make_sense():
+def test_rejects_inconsistent_fields():
     friction, creep = effect("plate_friction"), effect("creep")
     with pytest.raises(InputError, match="held_sd > 0 for each of its 1"):
         replace(creep, held_sd=(0.1, 0.2))
@@ -173,21 +173,21 @@ def test_special_treatment_is_a_field_that_must_make_sense():
     assert replace(friction, searched_as=("rubbing",)).is_searched({"rubbing"})
 
 
-def test_size_grows_in_proportion_unless_it_has_a_place_or_begins_at_neutral():
+def test_proportional_unless_local_or_one_sided():
     proportional = {e.name for e in BREAST_EFFECTS if e.is_proportional}
     assert {"plate_tilt", "gravity_change", "growth"} < proportional
     assert not proportional & {"plate_friction", "inclusion", "local_attachment", "plate_edge"}
 
 
 @on_image
-def test_what_turns_about_the_middle_depends_on_where_that_is(e):
+def test_only_effects_about_the_centre_depend_on_it(e):
     elsewhere = replace(FRAME, centre_mm=(20.0, -10.0, 5.0))
     here, there = (e.observation(*interface(), frame) for frame in (FRAME, elsewhere))
     assert e.about_centre == (not np.array_equal(here, there))
 
 
 @pytest.mark.parametrize("e", [e for e in ON_IMAGE if e.moves_scan], ids=lambda e: e.name)
-def test_a_scan_is_moved_by_three_shifts_and_three_turns(e):
+def test_scan_motion_has_three_shifts_and_three_turns(e):
     points, normals, tissues = interface()
     moved = rigidly_moved(points, np.array(e.prior_sd), FRAME.centre_mm) - points
     shift = e.shift(points, normals, tissues, e.plausible, FRAME)
@@ -202,7 +202,7 @@ def test_renamed_parameters_are_read_from_a_blind_case():
 
 
 @on_problem
-def test_changes_straddle_the_place_or_start_there(e: Effect):
+def test_differences_are_central_or_one_sided(e: Effect):
     at = e.neutral
     for parameter, change in zip(e.parameters, e.changes(plain(), FRAME, at), strict=True):
         step = e.steps[e.parameters.index(parameter)]
@@ -215,7 +215,7 @@ def test_changes_straddle_the_place_or_start_there(e: Effect):
         assert same(change.plus, e.apply(plain(), {**at, parameter.name: high}, FRAME))
 
 
-# Effects on the image.
+# Effects on the observation.
 
 
 def interface():
@@ -241,7 +241,7 @@ def test_observation_is_linear_and_leaves_the_body_alone(e):
     assert (e.changes(plain(), FRAME)[0].plus) == plain()
 
 
-def test_segmentation_moves_the_tissue_that_it_names():
+def test_segmentation_offset_moves_its_tissue_only():
     points, normals, tissues = interface()
     e = effect("segmentation_offset")
     shift = e.shift(points, normals, tissues, {"segmentation_glandular": 0.5}, FRAME)
@@ -254,8 +254,8 @@ def test_segmentation_moves_the_tissue_that_it_names():
     [(effect("rigid_motion"), FRAME.centre_mm), (base_motion((3.0, -5.0, 7.0)), (3.0, -5.0, 7.0))],
     ids=["body", "base"],
 )
-def test_rigid_motion_is_that_of_a_rotation_matrix(e, centre_mm):
-    """Against the exact motion: the error falls with the square of the angle."""
+def test_rigid_motion_equals_a_rotation_matrix(e, centre_mm):
+    """The error against the exact motion falls with the square of the angle."""
     from scipy.spatial.transform import Rotation
 
     points, normals, tissues = interface()
@@ -272,7 +272,7 @@ def test_rigid_motion_is_that_of_a_rotation_matrix(e, centre_mm):
     assert math.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.05)
 
 
-def test_a_clamp_keeps_its_springs_along_x_and_y():
+def test_clamp_compliance_keeps_springs_along_x_and_y():
     sliding = replace(
         plain(), wall=Wall(held=(False, False, True), spring_mpa_per_mm=(0.1, 0.2, 0.0))
     )
@@ -281,7 +281,7 @@ def test_a_clamp_keeps_its_springs_along_x_and_y():
     assert wall.held == (False, False, False)
     assert wall.spring_mpa_per_mm == (0.1, 0.2, 0.25)
     loose = replace(sliding, wall=wall)
-    assert CLAMP_COMPLIANCE.apply(loose, values, FRAME) == loose  # it yields already
+    assert CLAMP_COMPLIANCE.apply(loose, values, FRAME) == loose  # already compliant
 
 
 def test_units_of_effects():

@@ -1,4 +1,4 @@
-"""An effect is named in its family and in the catalogues of organs, and nowhere else."""
+"""Names of effects occur only in their family and in the catalogues of organs."""
 
 import ast
 from importlib import import_module
@@ -10,8 +10,8 @@ from palpate.workers.organs.registry import catalogue_of, organ_names
 
 ROOT = Path(str(workers.__file__)).resolve().parents[1]
 FAMILIES = "palpate.workers.mechanics.effects"
-# Names that also mean something else: a constant of a study, the other solver's causes, and the
-# tangents that a benchmark times.
+# Names with another meaning elsewhere: a constant of a study, causes of the other solver, and
+# tangents timed by a benchmark.
 OTHERWISE = {
     "service/bench/stages.py",
     "service/formatting.py",

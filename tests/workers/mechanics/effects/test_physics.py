@@ -1,7 +1,7 @@
-"""What every effect does to a body: tangents against differences of full solutions.
+"""Influence of every effect on a body: tangents against differences of full solutions.
 
-The body is held loosely along its chest wall. Without that nothing resists gravity
-along x but the drift springs.
+The body is held loosely along its chest wall. Otherwise only the drift springs would
+resist gravity along x.
 """
 
 from dataclasses import replace
@@ -24,9 +24,9 @@ from tests.workers.mechanics.effects.lopsided import plain, volume
 effect = CATALOGUE.named
 PRESTRESS = effect("gravity_prestress")
 ON_BODY = [e for e in BREAST_EFFECTS if e.observation is None]
-# Away from neutral, where a place and a size matter.
+# Values away from neutral, where place and size matter.
 AT = {
-    # At 5 mm a point inside of a face just lets go.
+    # At 5 mm a point inside a face is just losing contact.
     "plate_edge": {"plate_edge": 6.0},
     "inclusion": {"inclusion_ln_ratio": 1.0, "inclusion_x": 3.0, "inclusion_y": 8.0},
     "local_attachment": {
@@ -66,11 +66,11 @@ def moved(problem: Problem, start: Equilibrium | None = None) -> np.ndarray:
 
 
 def difference(e: Effect, k: int, here: Equilibrium) -> np.ndarray:
-    """Derivative of the solution by parameter `k`, by Richardson extrapolation."""
+    """Return the derivative of the solution by parameter `k`, by Richardson extrapolation."""
     at = e.complete(AT.get(e.name, {}))
     parameter = e.parameters[k]
     forward = one_sided(parameter)
-    # With friction the path from rest counts.
+    # With friction the path from rest matters.
     start = None if e.name == "plate_friction" else here
     h = 1e-4 * e.prior_sd[k]
 
@@ -96,7 +96,7 @@ def test_neutral_solution_is_unchanged(e):
 
 
 @pytest.mark.parametrize("e", [e for e in ON_BODY if e is not PRESTRESS], ids=lambda e: e.name)
-def test_tangents_are_differences_of_solutions(e):
+def test_tangents_equal_differences_of_solutions(e):
     at = AT.get(e.name, {})
     here = solved(e.apply(base(e), at, frame()))
     slopes = tangents(here, e.changes(base(e), frame(), at))
@@ -108,7 +108,7 @@ def test_tangents_are_differences_of_solutions(e):
 
 
 def test_tangent_of_prestress():
-    """The stress-free shape is found to a tolerance, so steps are larger and errors, too."""
+    """The stress-free shape has a tolerance, so steps and errors are larger."""
     e = replace(PRESTRESS, steps=(0.01,))
     problem = replace(base(e), tolerance_mm=1e-6)
     slopes = tangents(solved(problem), e.changes(problem, frame()))[0]
@@ -117,7 +117,7 @@ def test_tangent_of_prestress():
     assert np.abs(slopes - expected).max() < 1e-3 * np.abs(expected).max()
 
 
-# With friction, tangents hold the slip of earlier steps, so they are not those of the path.
+# With friction, tangents hold the slip of earlier steps, so they differ from the path's.
 @pytest.mark.parametrize(
     "e",
     [e for e in ON_BODY if e.name not in ("gravity_prestress", "plate_friction")],
@@ -127,11 +127,11 @@ def test_tangents_away_from_neutral(e):
     """At half the plausible values, where most effects are no longer linear."""
     at = {name: (value + e.neutral[name]) / 2 for name, value in e.plausible.items()}
     here = solved(e.apply(base(e), at, frame()))
-    # Columns of a place cancel in part, so each is solved more exactly than by default.
+    # Columns of a place partly cancel, so each is solved more accurately than by default.
     slopes = tangents(here, e.changes(base(e), frame(), at), 1e-6)
     rng = np.random.default_rng(2)
     direction = rng.uniform(0.3, 1.0, len(slopes)) * e.prior_sd
-    h = 3e-5  # so short that no node meets a plate on the way
+    h = 3e-5  # too short for a node to reach a plate
 
     def along(step: float) -> np.ndarray:
         values = {n: at[n] + step * d for n, d in zip(e.names, direction, strict=True)}
@@ -145,8 +145,8 @@ def test_tangents_away_from_neutral(e):
 @pytest.mark.parametrize(
     ("name", "small"), [("wall_compliance", 2.0), ("plate_friction", 1e-4)], ids=lambda v: str(v)
 )
-def test_one_sided_effects_set_in_gently(name, small):
-    """Half the value, half the displacement: nothing jumps between absent and present."""
+def test_one_sided_effects_start_smoothly(name, small):
+    """Half the value gives half the displacement: nothing jumps at the neutral value."""
     e = effect(name)
     here = moved(base(e))
     full, half = (
@@ -156,21 +156,21 @@ def test_one_sided_effects_set_in_gently(name, small):
     assert np.abs(full).max() > 1e-3
 
 
-FAR_EDGE = pytest.mark.xfail(reason="40 to 56 iterations from 12 mm on, of 60 that are allowed")
+FAR_EDGE = pytest.mark.xfail(reason="40 to 56 of the 60 iterations allowed from 12 mm on")
 
 
 @pytest.mark.parametrize("edge_mm", [5.0, 8.0, 10.0, pytest.param(15.0, marks=FAR_EDGE)])
-def test_body_is_pressed_between_plates_that_begin_far_from_the_wall(edge_mm):
-    """Nodes slide off the edge on the way; Newton's method is not to stray among them."""
+def test_converges_with_plate_edges_far_from_the_wall(edge_mm):
+    """Nodes slide off the edge on the way, which must not mislead Newton's method."""
     edge = effect("plate_edge")
     here = solved(edge.apply(base(edge), {"plate_edge": edge_mm}, frame()))
     assert max(here.solution.outcome.newton_iterations) < 40
 
 
-def test_creep_is_a_larger_force():
-    """In one state nobody can tell them apart: only stiffness over force counts.
+def test_creep_is_equivalent_to_a_larger_force():
+    """In one state they are indistinguishable: only stiffness over force matters.
 
-    The plates' penalty, which does not relax, makes the difference.
+    The remaining difference is due to the plates' penalty, which does not relax.
     """
     here = solved(replace(plain(), tolerance_mm=1e-9))
     creep, force = (

@@ -1,4 +1,4 @@
-"""Bodies made of a lattice of cells, bent into shape, on meshes nested in each other."""
+"""Bodies made of a mapped lattice of cells, on nested meshes."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constan
 from palpate.workers.mechanics.fem.problem.loads import Hold
 from palpate.workers.mechanics.fem.problem.regions import Box
 
-# The planes x = 0 and y = 0 as planes of symmetry; the wall is the third.
+# The planes x = 0 and y = 0 are planes of symmetry; the wall is the third.
 FAR = np.inf
 MIRRORS = (
     Hold(Box((-1e-6, -FAR, -FAR), (1e-6, FAR, FAR)), axes=(True, False, False)),
@@ -32,17 +32,17 @@ KUHN = [
 
 
 def box(*size: float, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Shape:
-    """A block of this size in mm."""
+    """Return a block of this size in mm."""
     return lambda unit: np.asarray(origin) + unit * np.asarray(size)
 
 
 def turned(shape: Shape, R: FloatArray) -> Shape:
-    """`shape`, turned about the origin."""
+    """Return `shape`, rotated about the origin."""
     return lambda unit: shape(unit) @ R.T
 
 
 def ball(radius: float, hole: float = 0.0, hollow: float = 0.0) -> Shape:
-    """An eighth of a ball: the lattice's shells max(a, b, c) = const become spheres.
+    """Return an eighth of a ball: the lattice's shells max(a, b, c) = const become spheres.
 
     Cells with max(a, b, c) <= `hollow` are left for a hole of radius `hole`.
     """
@@ -65,21 +65,20 @@ def body(
     bare: Where | None = None,
     hollow: float = 0.0,
 ) -> Model:
-    """A body of fat on nested lattices, coarse to fine.
+    """Return a body of fat on nested lattices, coarse to fine.
 
     Parameters
     ----------
     cells : sequence of (nx, ny, nz)
-        Of each level.
+        Cells of each level.
     shape : callable
-        From the unit cube, (k, 3), to mm.
+        Maps the unit cube, (k, 3), to mm.
     jitter : float
-        Inner nodes move at random by up to this part of a cell.
+        Largest random shift of inner nodes, in cells.
     wall : bool
         Whether the face c = 0 of the lattice is the chest wall.
     bare : callable, optional
-        Points of the unit cube on whose side there is no free surface: planes of
-        symmetry.
+        Selects points of the unit cube without a free surface: planes of symmetry.
     hollow : float
         Cells with max(a, b, c) <= `hollow` are left out.
     """
@@ -113,12 +112,12 @@ def body(
 
 
 def symmetric(unit: FloatArray) -> BoolArray:
-    """The faces a = 0 and b = 0."""
+    """Select the faces a = 0 and b = 0."""
     return np.asarray((unit[:, :2] < 1e-12).any(axis=1))
 
 
 def rotation(axis: tuple[float, float, float], degrees: float) -> FloatArray:
-    """Rotation matrix about an axis through the origin."""
+    """Return the rotation matrix about an axis through the origin."""
     x, y, z = np.asarray(axis) / np.linalg.norm(axis)
     W = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     angle = np.radians(degrees)
@@ -126,7 +125,7 @@ def rotation(axis: tuple[float, float, float], degrees: float) -> FloatArray:
 
 
 def nominal_mpa(c: Constants, *stretch: float) -> FloatArray:
-    """Principal nominal stresses of the neo-Hookean matrix.
+    """Return the principal nominal stresses of the neo-Hookean matrix.
 
     P_i = mu J^-2/3 (l_i - I1 / (3 l_i)) + kappa (J - 1) J / l_i.
     """
@@ -147,7 +146,7 @@ def _tetrahedra(cells: Cells) -> np.ndarray:
 
 
 def _interpolation(cells: Cells, unit: FloatArray) -> sparse.csr_matrix:
-    """Linear in each Kuhn tetrahedron of the lattice with `cells`."""
+    """Return linear interpolation in the Kuhn tetrahedra of the lattice with `cells`."""
     scaled = unit * cells
     corner = np.minimum(scaled.astype(int), np.asarray(cells) - 1)
     local = scaled - corner

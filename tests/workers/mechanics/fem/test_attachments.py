@@ -17,7 +17,7 @@ HALF = SIZE / 2
 
 
 def shift_mm(attachments, cells=(6, 6, 6)):
-    """How far a body that is all but rigid is moved by 0.02 N along x."""
+    """Return the shift of a nearly rigid body under 0.02 N along x."""
     model = body([cells], box(SIZE, SIZE, SIZE, origin=(-HALF, -HALF, 0.0)))
     problem = Problem(
         {Tissue.FAT: Constants(10.0, 0.3)},
@@ -34,14 +34,14 @@ def shift_mm(attachments, cells=(6, 6, 6)):
     return u[:, 0].mean()
 
 
-def test_wide_attachment_holds_skin_and_chest_wall_alike():
+def test_wide_attachment_holds_skin_and_chest_wall_equally():
     """F = k A u with the area of all six faces."""
     wide = Attachment((1e-4,) * 3, (0.0, 0.0, HALF), 1e5)
     assert shift_mm((wide,)) == pytest.approx(0.02 / (1e-4 * 6 * SIZE**2), rel=1e-4)
 
 
 def test_attachment_falls_off_as_a_normal_distribution():
-    """Integral of exp(-d^2 / 2 r^2) over six faces that all lie 5 mm from its centre."""
+    """Integral of exp(-d^2 / 2 r^2) over six faces at 5 mm from its centre."""
     r = 3.0
     across = np.sqrt(2 * np.pi) * r * erf(HALF / np.sqrt(2) / r)
     area = 6 * np.exp(-(HALF**2) / (2 * r**2)) * across**2
@@ -49,7 +49,7 @@ def test_attachment_falls_off_as_a_normal_distribution():
     assert shift_mm((patch,), (8, 8, 8)) == pytest.approx(0.02 / (1e-3 * area), rel=0.02)
 
 
-def test_only_springs_along_the_force_count():
+def test_only_springs_along_the_force_matter():
     """F = k_x A u_x, whatever k_y and k_z are."""
     wide = Attachment((1e-5, 1e-3, 1e-2), (0.0, 0.0, HALF), 1e5)
     assert shift_mm((wide,)) == pytest.approx(0.02 / (1e-5 * 6 * SIZE**2), rel=1e-3)
@@ -61,6 +61,6 @@ def test_attachments_add_up():
 
 
 @pytest.mark.parametrize(("stiffness", "radius"), [(-1.0, 3.0), (1.0, 0.0)])
-def test_attachment_is_checked(stiffness, radius):
+def test_rejects_invalid_attachments(stiffness, radius):
     with pytest.raises(InputError, match="springs >= 0 and a radius > 0"):
         Attachment((1.0, 0.0, stiffness), (0.0, 0.0, 0.0), radius)

@@ -20,7 +20,7 @@ from tests.workers.mechanics.fem.blocks import OPEN, cube, holding, loose_level,
 
 
 def uniaxial(c: Constants, stretch_y: float, *, fibre: float = 1.0) -> tuple[float, float, float]:
-    """Nominal stress along y, and stretches along x and z, with free sides, fibres along z.
+    """Return nominal stress along y and stretches along x and z: free sides, fibres along z.
 
     With lambda = (lx, ly, lz), J = lx ly lz, I1 = sum lambda^2:
     P_i = mu J^-2/3 (l_i - I1 / (3 l_i)) + kappa (J - 1) J / l_i
@@ -41,7 +41,7 @@ def uniaxial(c: Constants, stretch_y: float, *, fibre: float = 1.0) -> tuple[flo
 
 @pytest.mark.parametrize("plain", [False, True])
 def test_patch(plain):
-    """With an affine boundary the inside is affine, whatever the mesh."""
+    """With an affine boundary the interior is affine, whatever the mesh."""
     model = model_of(cube(4, jitter=0.25)).finest
     level = loose_level(model, Constants(0.01, 0.49, 0.1), plain_elements=plain)
     F = np.array([[1.2, 0.1, 0.0], [0.05, 0.9, 0.1], [0.0, -0.05, 1.05]])
@@ -72,8 +72,8 @@ def test_uniaxial_compression_with_fibres(eta):
     assert force[top, 1].sum() == pytest.approx(100 * stress, rel=1e-7)
 
 
-def test_fibres_in_tension_only_do_not_push_back():
-    """Compressed along its fibres, the body is its matrix; read literally, it is stiffer."""
+def test_fibres_in_tension_only_do_not_resist_compression():
+    """Compressed along its fibres, only the matrix acts; with literal fibres it is stiffer."""
     model = model_of(cube(2))
     c = Constants(0.01, 0.49, 0.002)
     load = DistanceControl(0.0, 9.9)
@@ -94,7 +94,7 @@ def test_fibres_in_tension_only_do_not_push_back():
 
 
 def test_block_between_frictionless_plates():
-    """Uniaxial stress; the penalty lets the plates in by pressure / 0.5 N/mm^3."""
+    """Uniaxial stress; the plates penetrate by pressure / 0.5 N/mm^3."""
     c = Constants(0.01, 0.49, 0.02)
     mesh = cube(4)
     solution = solve(model_of(mesh), Problem({Tissue.FAT: c}, DistanceControl(0.0, 8.0)))
@@ -110,7 +110,7 @@ def test_block_between_frictionless_plates():
     assert solution.displacement_mm[:, 2].max() == pytest.approx(10 * (lz - 1), rel=0.05)
 
 
-def test_force_control_finds_the_displacement_of_that_force():
+def test_force_control_inverts_distance_control():
     model = model_of(cube(4))
     c = {Tissue.FAT: Constants(0.01, 0.49, 0.02)}
     prescribed = solve(model, Problem(c, DistanceControl(0.0, 8.0), tolerance_mm=1e-6))
@@ -131,7 +131,7 @@ def test_skin_stiffens():
     assert covered.plate_force_n > 1.5 * bare
 
 
-def test_multigrid_finds_what_the_direct_solver_finds():
+def test_multigrid_agrees_with_the_direct_solver():
     c = {Tissue.FAT: Constants(0.01, 0.49, 0.05)}
     problem = Problem(c, ForceControl(0.3, 0.0, 10.0), tolerance_mm=1e-6)
     fine = cube(6, jitter=0.15)
@@ -143,7 +143,7 @@ def test_multigrid_finds_what_the_direct_solver_finds():
     assert nested.outcome.cg_iterations[-1] < 30 * nested.outcome.newton_iterations[-1]
 
 
-def test_solving_twice_gives_the_same_bits():
+def test_repeated_solves_are_bit_identical():
     model = model_of(cube(2), cube(4, jitter=0.2))
     problem = Problem({Tissue.FAT: Constants(0.01, 0.49, 0.05)}, ForceControl(0.3, 0.0, 10.0))
     first, second = solve(model, problem), solve(model, problem)
@@ -152,7 +152,7 @@ def test_solving_twice_gives_the_same_bits():
 
 
 def test_divergence_is_an_outcome_with_a_reason():
-    """No body resists a million newtons."""
+    """No body withstands a million newtons."""
     problem = Problem({Tissue.FAT: Constants(0.01, 0.49)}, ForceControl(1e6, 0.0, 10.0))
     outcome = solve(model_of(cube(2)), problem).outcome
     assert not outcome.converged

@@ -28,7 +28,7 @@ def column(layers: int):
 
 
 def sag(c: Constants, g: float, z: np.ndarray) -> np.ndarray:
-    """Displacement of a column that cannot bulge, gravity `g` along z.
+    """Return the displacement of a column that cannot bulge, with gravity `g` along z.
 
     Equilibrium dP/dz + rho g = 0 with P(HEIGHT) = 0 gives P(z) = rho g (HEIGHT - z),
     the law gives the stretch that carries P, and u' = stretch - 1.
@@ -41,7 +41,7 @@ def sag(c: Constants, g: float, z: np.ndarray) -> np.ndarray:
 
 
 def column_error(c: Constants, g: float, layers: int, **options: object) -> float:
-    """Largest error of a layer's mean displacement, relative to the largest displacement."""
+    """Return the largest error of a layer's mean displacement, over the largest displacement."""
     model = column(layers)
     problem = Problem(
         {Tissue.FAT: c},
@@ -80,7 +80,7 @@ def test_small_sag_is_the_parabola_of_linear_elasticity():
 
 @pytest.mark.parametrize("wall", [CLAMPED, Wall((True, True, False), (0.0, 0.0, 1e-3))])
 def test_wall_carries_the_weight(wall):
-    """Held or on springs, it pulls back what hangs from it."""
+    """Held or on springs, its reaction balances the weight."""
     c = Constants(0.01, 0.49, density_t_per_mm3=2 * WATER)
     weight = 2 * WATER * GRAVITY_MM_PER_S2 * 20 * 20 * HEIGHT
     problem = Problem({Tissue.FAT: c}, NoPlates(), wall=wall, gravity_g=(0, 0, 1))
@@ -89,7 +89,7 @@ def test_wall_carries_the_weight(wall):
     assert outcome.wall_force_n == pytest.approx(-weight, rel=1e-5)
 
 
-def test_turning_body_and_gravity_turns_the_answer():
+def test_rotated_body_and_gravity_give_the_rotated_solution():
     c = Constants(0.002, 0.49, fibre_mpa=0.004)
     R = rotation((1.0, 2.0, 0.5), 50.0)
     g, axis = np.array([0.4, -0.7, 0.5]), np.array([0.2, 0.3, 1.0])

@@ -22,7 +22,7 @@ LAW = replace(NOTHING, stiffening=0.0, law=Fung(0.0034, 2.0))
 
 
 def problem_of(constants, isochoric_fibre, **more):
-    """A body between planes of symmetry that rests on the third."""
+    """Return a problem with two planes of symmetry, resting on a third."""
     return Problem(
         {Tissue.FAT: constants},
         NoPlates(),
@@ -38,9 +38,7 @@ def problem_of(constants, isochoric_fibre, **more):
 @pytest.mark.parametrize("growth", [1.2, 0.9])
 @pytest.mark.parametrize("isochoric_fibre", [False, True])
 @pytest.mark.parametrize("constants", [NOTHING, LAW], ids=["Yeoh", "Fung"])
-def test_free_body_grows_alike_along_all_axes_and_without_stress(
-    constants, isochoric_fibre, growth
-):
+def test_free_body_grows_isotropically_without_stress(constants, isochoric_fibre, growth):
     """x = g^(1/3) X."""
     model = body([(3, 3, 3)], box(SIZE, SIZE, SIZE), jitter=0.2)
     problem = problem_of(replace(constants, growth=growth), isochoric_fibre)
@@ -55,8 +53,8 @@ def test_free_body_grows_alike_along_all_axes_and_without_stress(
 
 
 @pytest.mark.parametrize("isochoric_fibre", [False, True])
-def test_grown_body_is_a_larger_body(isochoric_fibre):
-    """Under the same pressure both end at the same place."""
+def test_grown_body_equals_a_larger_body(isochoric_fibre):
+    """Under the same pressure both have the same final shape."""
     growth, cells = 1.25, [(4, 4, 4)]
     larger = SIZE * growth ** (1 / 3)
 
@@ -72,11 +70,11 @@ def test_grown_body_is_a_larger_body(isochoric_fibre):
     np.testing.assert_allclose(grown, pressed(larger, NOTHING), atol=1e-5)
 
 
-def test_plain_elements_refuse_to_grow():
+def test_rejects_growth_of_plain_elements():
     with pytest.raises(InputError, match="do not grow"):
         problem_of(replace(NOTHING, growth=1.1), False, plain_elements=True)
 
 
-def test_growth_is_positive():
+def test_rejects_growth_of_zero():
     with pytest.raises(InputError, match="growth > 0"):
         replace(NOTHING, growth=0.0)

@@ -1,4 +1,4 @@
-"""A stiff ball in a soft body under a strain applied far away."""
+"""A stiff ball in a soft body under a remote strain."""
 
 import numpy as np
 import pytest
@@ -17,17 +17,17 @@ from tests.workers.mechanics.fem.blocks import OPEN, holding
 from tests.workers.mechanics.fem.solids import ball, body, symmetric
 
 RADIUS, FAR_MM = 120.0, 480.0
-# Shells of the mesh: the edge of the inclusion, smoothed over 1 mm, lies within one.
+# Shells of the mesh: the edge of the inclusion, smoothed over 1 mm, is within one.
 SHELLS_MM = (0.0, 60.0, 117.0, 119.0, 121.0, 130.0, 148.0, 176.0, 224.0, 310.0, FAR_MM)
 E, NU = 0.01, 0.3
 
 
 def concentration(contrast: float) -> tuple[float, float]:
-    """Strain inside over strain far away, of volume and of shape.
+    """Return the ratio of inner to remote strain, of volume and of shape.
 
     Eshelby, Proc. R. Soc. Lond. A 241 (1957) 376-396, Eqs. 3.12-3.14 for a sphere with
     the matrix's nu: T = 1 / (1 + s (contrast - 1)), s = (1 + nu) / 3(1 - nu) for volume
-    and 2 (4 - 5 nu) / 15(1 - nu) for shape. The boundary lies at a finite distance, so
+    and 2 (4 - 5 nu) / 15(1 - nu) for shape. The boundary is at a finite distance, so
     T / (1 - f + f T) with the volume fraction f (Mori & Tanaka 1973), which for volume
     is exact and for shape good to order f^2.
     """
@@ -39,14 +39,14 @@ def concentration(contrast: float) -> tuple[float, float]:
 
 
 def graded(unit: FloatArray) -> FloatArray:
-    """An eighth of a ball with its shells at `SHELLS_MM`."""
+    """Return an eighth of a ball with shells at `SHELLS_MM`."""
     shell = unit.max(axis=1)
     wanted = np.interp(shell, np.linspace(0, 1, len(SHELLS_MM)), SHELLS_MM) / FAR_MM
     return ball(FAR_MM)(unit * (wanted / np.maximum(shell, 1e-300))[:, None])
 
 
 def strain_inside(contrast: float, far: FloatArray) -> FloatArray:
-    """Mean strain within half the radius; the outer sphere moves by `far`, (3,), times x."""
+    """Return the mean strain within half the radius if the outer sphere moves by `far` x, (3,)."""
     n = len(SHELLS_MM) - 1
     model = body([(n, n, n)], graded, bare=symmetric).finest
     lump = Inclusion(float(np.log(contrast)), (0.0, 0.0, 0.0), RADIUS)
@@ -78,7 +78,7 @@ def test_strain_inside_is_eshelbys(contrast):
     np.testing.assert_allclose(np.diagonal(found), exact, atol=0.04 * np.abs(exact).max())
 
 
-def test_even_swelling_inside():
+def test_volume_strain_inside():
     e = 1e-4
     volume, _ = concentration(10.0)
     found = strain_inside(10.0, np.full(3, e))
@@ -86,8 +86,8 @@ def test_even_swelling_inside():
 
 
 @pytest.mark.parametrize("element_mm", [3.0, 200.0])
-def test_constants_of_a_similar_body_change_around_lumps_alone(element_mm):
-    """Many elements in a lump, or one whose corners are all out of reach."""
+def test_constants_of_a_similar_body_change_only_around_lumps(element_mm):
+    """Many elements in a lump, or a single one with all corners out of reach."""
     model = body([(20, 20, 20)], lambda unit: 20 * element_mm * unit).finest
     tissue = {Tissue.FAT: Constants(E, NU, fibre_mpa=2e-3, growth=1.2)}
     centres = model.centroids[[100, 20000, 40000]]

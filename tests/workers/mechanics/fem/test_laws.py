@@ -1,4 +1,4 @@
-"""Every law of a file in the solver, against homogeneous deformations."""
+"""All laws in the solver, against homogeneous deformations."""
 
 import numpy as np
 import pytest
@@ -28,20 +28,20 @@ def model():
 
 
 def constants_of(name: str) -> Constants:
-    """A tissue whose law is always given as one, also the neo-Hookean."""
+    """Return constants with an explicit law, even for the neo-Hookean one."""
     mu = Constants(0.01, 0.49).mu_mpa
     return Constants(0.01, 0.49, law=law_named(name).law(mu, SHAPES[name]))
 
 
 def nominal(c: Constants, F: np.ndarray) -> np.ndarray:
-    """P = dW/dF + kappa (J - 1) J F^-T."""
+    """Return P = dW/dF + kappa (J - 1) J F^-T."""
     J = np.linalg.det(F)
     return c.law.stress(F) + c.kappa_mpa * (J - 1) * J * np.linalg.inv(F).T
 
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_uniaxial_compression_is_exact(model, name):
-    """Free sides: their stretch is that at which P_x = P_z = 0."""
+    """The stretch of the free sides gives P_x = P_z = 0."""
     c = constants_of(name)
 
     def side_stress(side: float) -> float:
@@ -63,7 +63,7 @@ def test_uniaxial_compression_is_exact(model, name):
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_simple_shear_is_exact(model, name):
-    """The inside follows a sheared boundary, and its upper face carries P e_y."""
+    """The interior follows a sheared boundary, and the upper face carries P e_y."""
     c, X = constants_of(name), model.nodes
     F = np.eye(3)
     F[0, 1] = SHEAR
@@ -79,8 +79,8 @@ def test_simple_shear_is_exact(model, name):
     np.testing.assert_allclose(virial, nominal(c, F), atol=1e-8)
 
 
-def test_no_shape_is_the_compiled_neo_hookean_matrix(model):
-    """At neutral shape constants every law gives the forces of a tissue without a law."""
+def test_neutral_shape_equals_the_compiled_neo_hookean_matrix(model):
+    """At neutral shape constants every law gives the same forces as a tissue without a law."""
     X = model.nodes
     state = State(X + np.random.default_rng(2).uniform(-0.4, 0.4, X.shape), 0.0)
     own = Constants(0.01, 0.49)

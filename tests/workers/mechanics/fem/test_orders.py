@@ -1,9 +1,9 @@
-"""Manufactured solutions: how fast the error falls as the mesh is refined.
+"""Manufactured solutions: orders of convergence under mesh refinement.
 
 A smooth finite motion of a cube is chosen and held on its boundary, and the body force
-b = -Div P that keeps it in equilibrium is found by complex step from a law
-written here anew. Linear elements owe order 2 in displacement and order 1 in stress
-(Brenner & Scott 2008, section 5.4).
+b = -Div P that keeps it in equilibrium is computed by complex step from a separate
+implementation of the law. Linear elements have order 2 in displacement and order 1 in
+stress (Brenner & Scott 2008, section 5.4).
 """
 
 from dataclasses import replace
@@ -33,7 +33,7 @@ POINTS = np.full((4, 4), _NEAR) + (_FAR - _NEAR) * np.eye(4)
 
 
 def motion(X: np.ndarray, c: Constants) -> tuple[np.ndarray, np.ndarray]:
-    """Positions x, (..., 3), and F, (..., 3, 3), of points X, real or complex.
+    """Return positions x, (..., 3), and F, (..., 3, 3), of points X, real or complex.
 
     A swelling by mu / kappa, so that the pressure is of the order of mu whatever nu is,
     and three finite shears on top, which keep the volume.
@@ -54,7 +54,7 @@ def motion(X: np.ndarray, c: Constants) -> tuple[np.ndarray, np.ndarray]:
 
 
 def stress(F: np.ndarray, c: Constants) -> np.ndarray:
-    """P of neo-Hooke, the volume term kappa/2 (J-1)^2 and fibres eta/2 (I4-1)^2."""
+    """Return P of neo-Hooke, the volume term kappa/2 (J-1)^2 and fibres eta/2 (I4-1)^2."""
     J = np.linalg.det(F)[..., None, None]
     H = np.swapaxes(np.linalg.inv(F), -1, -2)
     I1 = (F * F).sum(axis=(-1, -2))[..., None, None]
@@ -65,7 +65,7 @@ def stress(F: np.ndarray, c: Constants) -> np.ndarray:
 
 
 def body_force(X: FloatArray, c: Constants) -> FloatArray:
-    """-Div P at points (..., 3), in N/mm^3."""
+    """Return -Div P at points (..., 3), in N/mm^3."""
     h = 1e-30
     force = np.zeros(X.shape)
     for j in range(3):
@@ -75,13 +75,13 @@ def body_force(X: FloatArray, c: Constants) -> FloatArray:
 
 
 def quadrature(level: Level) -> FloatArray:
-    """Points, shape (m, 4, 3)."""
+    """Return the quadrature points, shape (m, 4, 3)."""
     m = level.model
     return np.einsum("qa,eai->eqi", POINTS, m.nodes[m.elements.tets])
 
 
 def loaded(level: Level, c: Constants) -> Level:
-    """The consistent nodal forces of the body force, and the boundary held."""
+    """Return the level with consistent nodal body forces and the boundary held."""
     m = level.model
     share = np.einsum(
         "e,eqi,qa->eai", m.elements.volumes / 4, body_force(quadrature(level), c), POINTS
@@ -93,7 +93,7 @@ def loaded(level: Level, c: Constants) -> Level:
 
 
 def errors(level: Level, x: FloatArray, c: Constants) -> tuple[float, float]:
-    """Of displacement and of P, in L2, by the four points of each element."""
+    """Return the L2 errors of displacement and P, with four points per element."""
     m = level.model
     at, weight = quadrature(level), np.repeat(m.elements.volumes / 4, 4)
     u = np.einsum("qa,eai->eqi", POINTS, (x - m.nodes)[m.elements.tets])
@@ -102,7 +102,7 @@ def errors(level: Level, x: FloatArray, c: Constants) -> tuple[float, float]:
     F = deformation_gradients(x, m.elements)
     P = stress(F, c)
     if not level.constants.material.plain:
-        # The element carries the mean of the pressures of its nodes.
+        # The pressure of an element is the mean over its nodes.
         volumes = level.energy(State(x, 0.0), OPEN).nodal_volumes
         p = (level.nodal_bulk_mpa * (volumes / m.nodal_volumes - 1))[m.elements.tets].mean(axis=1)
         J = np.linalg.det(F)
@@ -123,7 +123,7 @@ def test_deformation_gradient_is_the_derivative_of_the_motion():
 
 
 def study(c: Constants, *, plain: bool) -> FloatArray:
-    """Errors of displacement and stress on each mesh, shape (3, 2)."""
+    """Return the errors of displacement and stress on each mesh, shape (3, 2)."""
     model = body([(n, n, n) for n in CELLS], box(SIDE, SIDE, SIDE), jitter=0.15)
     solvers: list[LinearSolver] = []
     found = []
@@ -155,7 +155,7 @@ def test_orders_of_convergence(nu, plain):
 
 
 def test_plain_elements_lock_and_averaged_ones_do_not():
-    """At nu = 0.499, on meshes as coarse as these."""
+    """At nu = 0.499, on coarse meshes."""
     c = Constants(0.01, 0.499, fibre_mpa=0.003)
     averaged, plain = (study(c, plain=p) for p in (False, True))
     assert plain[-1, 0] > 2 * averaged[-1, 0]

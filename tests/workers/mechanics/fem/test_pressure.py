@@ -19,7 +19,7 @@ from tests.workers.mechanics.fem.solids import MIRRORS, ball, body, box, symmetr
 
 
 @pytest.mark.parametrize("pressure_mpa", [0.008, -0.008])
-def test_pressure_all_round_changes_the_volume_alone(pressure_mpa):
+def test_uniform_pressure_changes_only_the_volume(pressure_mpa):
     """W = kappa/2 (J-1)^2 gives sigma = kappa (J-1) 1, so J = 1 - p / kappa everywhere."""
     c = Constants(0.05, 0.3)
     model = body([(3, 3, 3)], box(10.0, 12.0, 9.0), jitter=0.2, bare=symmetric)
@@ -53,7 +53,7 @@ def test_overlapping_regions_add_up():
 
 
 def test_force_is_minus_pressure_times_the_gradient_of_the_volume():
-    """For a closed surface the work of pressure is -p dV; and it exerts no force at all."""
+    """For a closed surface the work of pressure is -p dV, and its resultant is zero."""
     level = body([(3, 3, 3)], box(10.0, 10.0, 10.0), wall=False).finest
     rng = np.random.default_rng(5)
     x = level.nodes + rng.uniform(-1, 1, level.nodes.shape)
@@ -75,7 +75,7 @@ def test_force_is_minus_pressure_times_the_gradient_of_the_volume():
 
 
 def shell_pressure(mu: float, inside: float, outside: float) -> float:
-    r"""Pressure that inflates a thick incompressible neo-Hookean shell.
+    r"""Return the pressure that inflates a thick incompressible neo-Hookean shell.
 
     sigma_t - sigma_r = mu (l^2 - l^-4), equilibrium along r and r^3 - R^3 = const give
     ``p = int_{l_b}^{l_a} 2 mu (l^3 + 1) / l^5 dl
@@ -89,7 +89,7 @@ def shell_pressure(mu: float, inside: float, outside: float) -> float:
     return mu / 2 * (part(outside) - part(inside))
 
 
-def test_closed_form_of_the_shell_is_its_integral():
+def test_closed_form_of_the_shell_equals_its_integral():
     found, _ = quad(lambda l: 2 * 0.01 * (l**3 + 1) / l**5, 1.05, 1.4)
     assert shell_pressure(0.01, 1.4, 1.05) == pytest.approx(found, rel=1e-12)
 

@@ -68,7 +68,7 @@ def test_stiff_block_shifts_on_tangential_springs():
 
 
 def test_foundation_of_a_soft_body_balances_the_force_on_it():
-    """Whatever the shape of the wall's displacement, the sum of k A_i u_i is the force."""
+    """The sum of k A_i u_i equals the force, whatever the displacement of the wall."""
     k = 1e-3
     model = body([(3, 3, 2), (6, 6, 4)], box(20.0, 20.0, 10.0), jitter=0.15)
     problem = Problem(
@@ -87,7 +87,7 @@ def test_foundation_of_a_soft_body_balances_the_force_on_it():
     np.testing.assert_allclose(found[:2], [0.05, -0.02], rtol=1e-5)
 
 
-def test_a_very_stiff_foundation_is_a_held_wall():
+def test_very_stiff_foundation_equals_a_held_wall():
     model = body([(3, 3, 3)], box(SIZE, SIZE, SIZE))
     load = DeadForce((0.03, 0.02, 0.05), Box((-FAR, -FAR, SIZE - 1e-6), (FAR, FAR, FAR)))
     found = [

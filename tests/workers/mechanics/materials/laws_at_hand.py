@@ -1,4 +1,4 @@
-"""Laws and deformations that the tests of this room share."""
+"""Laws and deformations shared by the tests of this folder."""
 
 import numpy as np
 
@@ -34,16 +34,16 @@ FIBRES = {
 
 
 def rotation(seed: int) -> np.ndarray:
-    """A rotation drawn at random."""
+    """Return a random rotation."""
     Q, R = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))
     Q *= np.sign(np.diag(R))
     return Q * np.linalg.det(Q)
 
 
 def deformations() -> np.ndarray:
-    """Strong and weak, with and without change of volume, shape (n, 3, 3).
+    """Return large and small deformations, with and without volume change, shape (n, 3, 3).
 
-    The first is rest; those after it have two or three equal or nearly equal stretches.
+    The first is rest; the next ones have two or three equal or nearly equal stretches.
     """
     rng = np.random.default_rng(7)
     diagonals = [
@@ -63,12 +63,12 @@ def deformations() -> np.ndarray:
 
 
 def complex_step(f, F: np.ndarray) -> np.ndarray:
-    """Derivative of an analytic f by F, exact to rounding."""
+    """Return the derivative of an analytic f by F, exact to rounding."""
     return _by_entries(lambda E: np.imag(f(F + 1e-30j * E)) / 1e-30)
 
 
 def differences(f, F: np.ndarray, h: float = 2e-4) -> np.ndarray:
-    """Derivative of f by F from five points, of fourth order in h."""
+    """Return the derivative of f by F from five points, of fourth order in h."""
 
     def along(E: np.ndarray) -> np.ndarray:
         near, far = f(F + h * E) - f(F - h * E), f(F + 2 * h * E) - f(F - 2 * h * E)
@@ -86,7 +86,7 @@ def _by_entries(along) -> np.ndarray:
 def assert_close(
     computed: np.ndarray, expected: np.ndarray, tolerance: float, scale: float
 ) -> None:
-    """Every entry agrees, relative to the largest of its point and to `scale`."""
+    """Check every entry, relative to the largest of its point and to `scale`."""
     assert computed.shape == expected.shape
     axes = tuple(range(1, computed.ndim))
     size = np.abs(expected).max(axis=axes, initial=0) if axes else np.abs(expected)

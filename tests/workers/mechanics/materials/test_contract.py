@@ -1,8 +1,7 @@
-"""What is true of every law; each goes through all of it.
+"""Contract of elastic laws, tested for every law.
 
-Derivatives are checked by the complex step, equal to rounding, where the code is
-analytic. Ogden's law goes through eigenvectors, which are not; there, differences of
-fourth order.
+Derivatives are checked to rounding by the complex step where the code is analytic.
+Ogden's law uses eigenvectors, which are not; it is checked by differences of fourth order.
 """
 
 import numpy as np
@@ -30,7 +29,7 @@ def of(*laws: dict):
 
 
 def derivative(law, f, F):
-    """The best derivative that can be had of a law, and how close to expect it."""
+    """Return the most accurate derivative available for a law, and its tolerance."""
     if isinstance(law, Ogden):
         return differences(f, F), 1e-8
     return complex_step(f, F), 1e-12
@@ -48,7 +47,7 @@ def test_stress_is_the_derivative_of_the_energy(law):
 
 @of(LAWS)
 def test_tangent_is_the_derivative_of_the_stress(law):
-    # At the kink of slack fibres there is no derivative; rest is such a point.
+    # Slack fibres have no derivative at their kink, such as at rest.
     points = F[2:] if getattr(law, "tension_only", False) else F
     expected, tolerance = derivative(law, law.stress, points)
     assert_close(law.tangent(points), expected, tolerance, stiffness(law))
@@ -61,7 +60,7 @@ def test_tangent_is_symmetric(law):
 
 
 @of(LAWS)
-def test_a_rotation_turns_the_stress_and_stores_nothing(law):
+def test_rotation_rotates_the_stress_and_keeps_the_energy(law):
     for seed in range(5):
         Q = rotation(seed)
         assert_close(law.energy(Q @ F), law.energy(F), 1e-12, stiffness(law))
@@ -69,14 +68,14 @@ def test_a_rotation_turns_the_stress_and_stores_nothing(law):
 
 
 @of(ISOCHORIC)
-def test_no_direction_of_the_body_is_special(law):
+def test_law_is_isotropic(law):
     Q = rotation(3)
     assert_close(law.energy(F @ Q), law.energy(F), 1e-12, stiffness(law))
     assert_close(law.stress(F @ Q), law.stress(F) @ Q, 1e-12, stiffness(law))
 
 
 @of(LAWS)
-def test_the_body_at_rest_is_free_of_energy_and_stress(law):
+def test_energy_and_stress_are_zero_at_rest(law):
     for rest in (np.eye(3), rotation(4)):
         assert abs(law.energy(rest)) < 1e-14 * stiffness(law)
         np.testing.assert_allclose(law.stress(rest), 0, atol=1e-14 * stiffness(law))
@@ -93,7 +92,7 @@ def test_small_strains_recover_linear_elasticity(law):
 
 
 @of(ISOCHORIC)
-def test_stress_leaves_linear_elasticity_at_second_order(law):
+def test_stress_deviates_from_linear_elasticity_at_second_order(law):
     H = np.random.default_rng(1).uniform(-1, 1, (3, 3))
     strain = (H + H.T) / 2
     linear = 2 * law.shear_modulus_mpa * (strain - np.trace(strain) / 3 * np.eye(3))
@@ -104,7 +103,7 @@ def test_stress_leaves_linear_elasticity_at_second_order(law):
 
 
 @of(ISOCHORIC, {name: law for name, law in FIBRES.items() if law.isochoric})
-def test_a_change_of_volume_stores_nothing(law):
+def test_volume_change_has_no_energy(law):
     size = stiffness(law)
     for s in (0.3, 0.9, 4.0):
         assert_close(law.energy(s * F), law.energy(F), 1e-12, size)
@@ -117,7 +116,7 @@ def test_a_change_of_volume_stores_nothing(law):
 
 
 @of(ISOCHORIC, {name: law for name, law in FIBRES.items() if law.isochoric})
-def test_a_body_turned_inside_out_is_nan_and_disturbs_no_other(law):
+def test_inverted_points_are_nan_and_affect_no_others(law):
     bad = np.stack([F[20], np.diag([1.0, 1.0, -1.0]), np.zeros((3, 3)), np.full((3, 3), np.nan)])
     for f in (law.energy, law.stress, law.tangent):
         values = f(bad)
@@ -126,7 +125,7 @@ def test_a_body_turned_inside_out_is_nan_and_disturbs_no_other(law):
 
 
 @of(LAWS)
-def test_leading_axes_are_kept_and_the_input_too(law):
+def test_keeps_leading_axes_and_the_input(law):
     stack = F[:12].reshape(4, 3, 3, 3).copy()
     for f, shape in ((law.energy, ()), (law.stress, (3, 3)), (law.tangent, (3, 3, 3, 3))):
         values = f(stack)
@@ -137,9 +136,9 @@ def test_leading_axes_are_kept_and_the_input_too(law):
     np.testing.assert_array_equal(stack.reshape(12, 3, 3), F[:12])
 
 
-# With c10 < 0 Mooney's energy falls below zero in strong tension, as it should.
+# With c10 < 0 Mooney's energy is negative in strong tension, as it should be.
 @of({name: law for name, law in ISOCHORIC.items() if name != "mooney-of-brain"})
-def test_energy_is_above_zero_off_rest(law):
+def test_energy_is_positive_off_rest(law):
     changed = np.ptp(np.linalg.svd(F, compute_uv=False), axis=1) > 1e-3
     assert changed.sum() > 30
     assert (law.energy(F[changed]) > 0).all()

@@ -1,4 +1,4 @@
-"""Fibres: what they carry, and when they are slack."""
+"""Stress and slackness of fibres."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ Z = np.array([0.0, 0.0, 1.0])
 A = ALONG / np.linalg.norm(ALONG)
 
 
-def test_pulled_along_the_fibre():
+def test_stress_along_the_fibre():
     """W = eta/2 (l^2 - 1)^2, P = 2 eta (l^2 - 1) l, dP/dl = 2 eta (3 l^2 - 1)."""
     l, eta = 1.3, 0.02
     law, F = Fibres(eta, 5 * Z), np.diag([0.9, 0.8, l])
@@ -23,7 +23,7 @@ def test_pulled_along_the_fibre():
 
 
 @pytest.mark.parametrize("isochoric", [False, True])
-def test_small_strains_pull_with_four_eta(isochoric):
+def test_stiffness_at_small_strains_is_four_eta(isochoric):
     """P = 4 eta (a.e.a) a a; of the deviators of e and a a when isochoric."""
     law = Fibres(0.02, ALONG, tension_only=False, isochoric=isochoric)
     dyad = np.outer(A, A) - (np.eye(3) / 3 if isochoric else 0)
@@ -32,7 +32,7 @@ def test_small_strains_pull_with_four_eta(isochoric):
 
 
 @pytest.mark.parametrize("isochoric", [False, True])
-def test_short_fibres_are_slack_unless_they_push(isochoric):
+def test_short_fibres_are_slack_in_tension_only(isochoric):
     F = deformations()
     law = Fibres(0.02, ALONG, isochoric=isochoric)
     literal = Fibres(0.02, ALONG, tension_only=False, isochoric=isochoric)
@@ -52,7 +52,7 @@ def test_short_fibres_are_slack_unless_they_push(isochoric):
 
 
 @pytest.mark.parametrize("name", FIBRES)
-def test_every_point_has_its_own_direction(name):
+def test_one_direction_per_point(name):
     F = deformations()
     directions = np.random.default_rng(5).standard_normal((len(F), 3))
     kind = {"tension_only": FIBRES[name].tension_only, "isochoric": FIBRES[name].isochoric}
@@ -65,7 +65,7 @@ def test_every_point_has_its_own_direction(name):
 
 
 @pytest.mark.parametrize("name", FIBRES)
-def test_many_directions_meet_one_deformation(name):
+def test_many_directions_with_one_deformation(name):
     kind = {"tension_only": FIBRES[name].tension_only, "isochoric": FIBRES[name].isochoric}
     F, directions = deformations()[20], np.eye(3)
     law = Fibres(0.02, directions, **kind)
@@ -75,7 +75,7 @@ def test_many_directions_meet_one_deformation(name):
     np.testing.assert_allclose(law.tangent(F)[1], alone.tangent(F), rtol=1e-12, atol=1e-17)
 
 
-def test_directions_are_copied_and_sealed():
+def test_directions_are_copied_and_read_only():
     given = 2 * Z
     law = Fibres(0.02, given)
     given[:] = 0
@@ -93,6 +93,6 @@ def test_directions_are_copied_and_sealed():
         (0.1, np.array([Z, 0 * Z, np.nan * Z]), "2 of 3 fibre directions have no length"),
     ],
 )
-def test_fibres_that_point_nowhere_are_refused(eta, directions, words):
+def test_rejects_invalid_fibres(eta, directions, words):
     with pytest.raises(InputError, match=words):
         Fibres(eta, directions)

@@ -1,4 +1,4 @@
-"""A fit finds the law that made a table, and the best where none did."""
+"""Fits recover the law of a table, or else find the best one."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ SHEAR = np.linspace(-0.4, 0.4, 8)
 
 
 def tables_of(law, scale: float = 1.0, noise: float = 0.0) -> list[Table]:
-    """Every kind of test of a law."""
+    """Return tables of a law, one for each mode."""
     rng = np.random.default_rng(11)
     tables = []
     for mode in Mode:
@@ -49,8 +49,8 @@ MADE = {
 
 @pytest.mark.parametrize(("family", "law"), MADE.values(), ids=MADE.keys())
 @pytest.mark.parametrize("scale", [1.0, 1e-3, 1e3])
-def test_the_law_that_made_the_tables_is_found(family, law, scale):
-    """In any unit of stress: tissue and rubber differ by a factor of a thousand."""
+def test_recovers_the_law_of_the_tables(family, law, scale):
+    """For any size of stress: tissue and rubber differ by a factor of a thousand."""
     fitted = fit(family, tables_of(law, scale))
     assert fitted.error < 1e-6
     assert type(fitted.law) is type(law)
@@ -60,7 +60,7 @@ def test_the_law_that_made_the_tables_is_found(family, law, scale):
 
 
 @pytest.mark.parametrize("name", ["mooney-rivlin", "mooney-rivlin-5", "yeoh", "fung"])
-def test_coefficients_are_named_and_found(name):
+def test_recovers_named_coefficients(name):
     family, law = MADE[name]
     fitted = fit(family, tables_of(law)).coefficients
     for constant, value in fitted.items():
@@ -84,7 +84,7 @@ def test_neo_hookean_of_a_noisy_table_is_the_projection():
 
 
 @pytest.mark.parametrize("family", [law_families.YEOH, law_families.FUNG, law_families.ogden(1)])
-def test_no_constant_can_be_moved_for_the_better(family):
+def test_fit_is_a_local_minimum(family):
     tables = tables_of(MooneyRivlin(0.16, 0.02, 5e-3), noise=0.1)
     best = fit(family, tables)
     for name, value in best.coefficients.items():
@@ -95,8 +95,8 @@ def test_no_constant_can_be_moved_for_the_better(family):
             assert np.sqrt(np.mean(np.square(errors))) > best.error
 
 
-def test_errors_are_those_of_the_tables():
-    """A law without error in shear, where x = y, and with some elsewhere."""
+def test_errors_of_each_table():
+    """A law without error in shear, where x = y, but with errors in other modes."""
     tables = tables_of(MooneyRivlin(0.1, 0.1))
     errors = [relative_error(NeoHookean(0.4), table) for table in tables]
     assert errors[2:] == pytest.approx([0, 0], abs=1e-12)
@@ -109,12 +109,12 @@ def test_errors_are_those_of_the_tables():
     assert fitted.error == pytest.approx(np.sqrt(np.mean(np.square(fitted.errors))))
 
 
-def test_the_same_tables_give_the_same_law():
+def test_fit_is_deterministic():
     tables = tables_of(Yeoh(0.18, -4e-3, 2e-3), noise=0.05)
     assert fit(law_families.ogden(2), tables) == fit(law_families.ogden(2), tables)
 
 
-def test_too_few_points_are_refused():
+def test_rejects_too_few_points():
     table = Table(Mode.UNIAXIAL, np.array([1.0, 1.1, 1.2]), np.array([0.0, 0.1, 0.2]))
     with pytest.raises(InputError, match=r"Yeoh has 3 constants, but the tables have 2 points"):
         fit(law_families.YEOH, [table])
@@ -131,19 +131,19 @@ def test_too_few_points_are_refused():
         law_families.ogden(1),
     ],
 )
-def test_compression_without_its_sign_is_refused(family):
+def test_rejects_compression_without_its_sign(family):
     table = Table(Mode.UNIAXIAL, np.array([0.9, 0.8, 0.7]), np.array([0.1, 0.2, 0.3]))
     with pytest.raises(InputError, match="without stiffness at rest"):
         fit(family, [table])
 
 
-def test_per_cent_instead_of_stretch_is_refused():
+def test_rejects_per_cent_instead_of_stretch():
     table = Table(Mode.UNIAXIAL, np.linspace(1e5, 1e6, 9), np.linspace(0.1, 0.9, 9))
     with pytest.raises(InputError, match="too large for Fung"):
         fit(law_families.FUNG, [table])
 
 
 @pytest.mark.parametrize("terms", [0, 5])
-def test_the_number_of_terms_is_bounded(terms):
+def test_rejects_other_numbers_of_terms(terms):
     with pytest.raises(InputError, match=f"1 to 4 terms, got {terms}"):
         law_families.ogden(terms)

@@ -1,6 +1,6 @@
-"""Stress in the tests of a laboratory, against the formulas of Rivlin and of Ogden.
+"""Stress in laboratory tests, against the formulas of Rivlin and Ogden.
 
-Of a law W(I1, I2) with slopes W1 and W2 (Rivlin 1948), and of Ogden's (Ogden 1972)::
+For a law W(I1, I2) with slopes W1 and W2 (Rivlin 1948), and for Ogden's (Ogden 1972)::
 
     uniaxial      P = 2 (l - l^-2) (W1 + W2 / l)      sum mu (l^(a-1) - l^(-a/2-1))
     equibiaxial   P = 2 (l - l^-5) (W1 + W2 l^2)      sum mu (l^(a-1) - l^(-2a-1))
@@ -74,7 +74,7 @@ def test_ogden_in_simple_shear():
 
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("name", ISOCHORIC)
-def test_work_of_the_load_is_the_energy(name, mode):
+def test_work_of_the_load_equals_the_energy(name, mode):
     """Derivative of W(F(l)) by l: the load P, twice if it pulls in two directions."""
     law, h = ISOCHORIC[name], 1e-5
     l = np.linspace(0.7, 1.5, 9)
@@ -85,7 +85,7 @@ def test_work_of_the_load_is_the_energy(name, mode):
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_the_specimen_keeps_its_volume(mode):
+def test_specimen_keeps_its_volume(mode):
     np.testing.assert_allclose(np.linalg.det(deformation_gradient(mode, L)), 1, rtol=1e-14)
 
 
@@ -98,7 +98,7 @@ def test_the_specimen_keeps_its_volume(mode):
         ([-0.1, 0.1], [-1.0, 1.0], "stretches above zero, got -0.1.* not the strain"),
     ],
 )
-def test_tables_that_make_no_sense_are_refused(stretch, stress, words):
+def test_rejects_invalid_tables(stretch, stress, words):
     with pytest.raises(InputError, match=words):
         Table(Mode.UNIAXIAL, np.array(stretch), np.array(stress))
 

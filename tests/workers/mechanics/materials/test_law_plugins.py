@@ -1,4 +1,4 @@
-"""The laws that a file chooses by name, and their fits to tables."""
+"""Laws chosen by name in a file, and their fits to tables."""
 
 from pathlib import Path
 
@@ -47,12 +47,12 @@ def made_by(plugin: LawPlugin, shape: dict[str, float], noise: float = 0.0) -> l
     return tables
 
 
-def test_every_own_law_is_tried_here():
+def test_covers_every_own_law():
     assert set(law_names()) >= set(SHAPES)
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_without_shape_it_is_neo_hookean(name):
+def test_neutral_shape_is_neo_hookean(name):
     F = deformations()
     law, expected = law_named(name).law(MU, {}), NeoHookean(MU)
     np.testing.assert_allclose(law.energy(F), expected.energy(F), rtol=1e-9, atol=1e-15)
@@ -70,7 +70,7 @@ def test_shape_does_not_change_the_stiffness_at_rest(name):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_fit_finds_the_shape_that_made_the_tables(name):
+def test_fit_recovers_the_shape(name):
     plugin = law_named(name)
     found = fit_law(plugin, made_by(plugin, SHAPES[name]))
     assert found.shear_modulus_mpa == pytest.approx(MU, rel=1e-3)
@@ -81,8 +81,8 @@ def test_fit_finds_the_shape_that_made_the_tables(name):
     assert set(found.constants) == {p.door_name for p in plugin.constants()}
 
 
-def test_a_law_without_a_family_is_fitted_within_its_bounds():
-    """As that of another distribution: shape constants are searched, the modulus is linear."""
+def test_law_without_a_family_is_fitted_within_its_bounds():
+    """As for plug-ins: shape constants are searched, the modulus is linear."""
     rate = Parameter("rate", NUMBER, 0.1, 8.0, 1.0, "rate")
     plugin = LawPlugin("mine", "Mine", (rate,), lambda mu, shape: Fung(mu, shape["rate"]))
     found = fit_law(plugin, made_by(plugin, {"rate": 2.5}))
@@ -90,7 +90,7 @@ def test_a_law_without_a_family_is_fitted_within_its_bounds():
     assert found.constants == {"mine_rate": found.shape["rate"]}
 
 
-def test_the_fewest_constants_win_where_laws_follow_alike():
+def test_fewest_constants_win_among_equal_fits():
     tables = made_by(law_named("neo-hookean"), {}, noise=0.02)
     fits = [fit_law(law_named(name), tables) for name in ("yeoh", "neo-hookean", "ogden")]
     assert "neo-hookean" in {one.plugin.name for one in equally_good(fits)}
@@ -103,7 +103,7 @@ def test_the_fewest_constants_win_where_laws_follow_alike():
     assert [one.plugin.name for one in best] == ["fung"]
 
 
-def test_treloars_rubber_is_followed_by_yeoh_and_not_by_neo_hooke():
+def test_yeoh_but_not_neo_hooke_fits_treloars_rubber():
     fits = [fit_law(law_named(name), rubber("Treloar_1944")) for name in ("neo-hookean", "yeoh")]
     neo, yeoh = fits
     assert [one.plugin.name for one in equally_good(fits)] == ["yeoh"]
@@ -112,7 +112,7 @@ def test_treloars_rubber_is_followed_by_yeoh_and_not_by_neo_hooke():
     assert yeoh.constants["yeoh_c2"] < 0 < yeoh.constants["yeoh_c3"]
 
 
-def test_names_of_constants_tell_their_law():
+def test_law_of_a_constant_by_its_name():
     for name in SHAPES:
         for tissue in ("", "fat"):
             for p in law_named(name).constants(tissue):
@@ -128,7 +128,7 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def test_units_and_modes_of_a_table_are_read(tmp_path):
+def test_reads_units_and_modes_of_a_table(tmp_path):
     text = "# made by hand\nstrain_percent;stress_kpa;mode\n10;2;\n20;5;planar\n\n30;7;Planar\n"
     uniaxial, planar = read_tables(write(tmp_path, text))
     assert uniaxial.mode is Mode.UNIAXIAL
@@ -154,6 +154,6 @@ def test_units_and_modes_of_a_table_are_read(tmp_path):
         ("stretch,stress_kpa\n-1,2\n", "stretches above zero"),
     ],
 )
-def test_tables_that_make_no_sense_are_refused(tmp_path, text, words):
+def test_rejects_invalid_tables(tmp_path, text, words):
     with pytest.raises(InputError, match=words):
         read_tables(write(tmp_path, text))

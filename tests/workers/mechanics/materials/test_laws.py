@@ -1,4 +1,4 @@
-"""What is true of single laws: limits that they share, and what they refuse."""
+"""Limits and invalid constants of individual laws."""
 
 import doctest
 import importlib
@@ -18,7 +18,7 @@ from tests.workers.mechanics.materials.laws_at_hand import assert_close, deforma
 
 F = deformations()
 
-# Two ways to write one law. They share no code below F: powers of stretches, invariants.
+# Two forms of one law without common code: powers of stretches, invariants.
 PAIRS = {
     "2 is neo-Hookean": (Ogden((0.3,), (2.0,)), NeoHookean(0.3)),
     "2 and -2 are Mooney": (Ogden((0.4, -0.1), (2.0, -2.0)), MooneyRivlin(0.2, 0.05)),
@@ -30,21 +30,21 @@ PAIRS = {
 
 
 @pytest.mark.parametrize(("one", "other"), PAIRS.values(), ids=PAIRS.keys())
-def test_two_laws_that_are_one(one, other):
+def test_equivalent_laws_agree(one, other):
     r"""With alpha = 4: tr C^2 - 3 = I1^2 - 2 I2 - 3 = x^2 + 6 x - 2 y."""
     assert one.shear_modulus_mpa == pytest.approx(other.shear_modulus_mpa, rel=1e-14)
     for name in ("energy", "stress", "tangent"):
         assert_close(getattr(one, name)(F), getattr(other, name)(F), 1e-13, 1.0)
 
 
-def test_fung_tends_to_neo_hookean_with_its_rate():
+def test_fung_tends_to_neo_hookean_as_its_rate_vanishes():
     gaps = [np.abs(Fung(0.3, b).stress(F) - NeoHookean(0.3).stress(F)).max() for b in (1e-3, 1e-4)]
     assert gaps[0] / gaps[1] == pytest.approx(10, rel=0.01)
 
 
 @pytest.mark.parametrize("alpha", [7.0, -19.0, 1.0])
-def test_the_tangent_of_ogden_passes_smoothly_through_equal_stretches(alpha):
-    """Rounding divided by the gap would show as the gap shrinks."""
+def test_ogden_tangent_is_smooth_at_equal_stretches(alpha):
+    """Rounding errors divided by the gap would grow as the gap shrinks."""
     law = Ogden((2 / alpha,), (alpha,))
     Q, R = rotation(1), rotation(2)
     met = law.tangent(Q @ np.diag([1.2, 1.2, 0.7]) @ R)
@@ -55,7 +55,7 @@ def test_the_tangent_of_ogden_passes_smoothly_through_equal_stretches(alpha):
 
 
 def test_small_strains_keep_their_digits():
-    """Energies of 1e-16 of the modulus, from strains of 1e-8."""
+    """Strains of 1e-8 give energies of 1e-16 of the modulus."""
     e = 1e-8
     F = np.diag([1 + e, 1.0, 1 / (1 + e)])
     exact = 2 * e**2  # mu (e1^2 + e3^2), mu = 2
@@ -63,7 +63,7 @@ def test_small_strains_keep_their_digits():
 
 
 def test_conventions_of_ogden_agree():
-    """One term of shear modulus 3 and exponent 5, each as its own program writes it."""
+    """One term of shear modulus 3 and exponent 5, in each program's convention."""
     ogden = Ogden.from_convention("ogden", (1.2,), (5.0,))
     abaqus = Ogden.from_convention("abaqus", (3.0,), (5.0,))
     febio = Ogden.from_convention("febio", (6.0,), (5.0,))
@@ -71,7 +71,7 @@ def test_conventions_of_ogden_agree():
     assert ogden.shear_modulus_mpa == pytest.approx(3.0)
 
 
-def test_an_overstretched_fung_is_infinite_and_silent():
+def test_overstretched_fung_is_infinite_without_warnings():
     law = Fung(1.0, 100.0)
     assert law.energy(np.diag([5.0, 1.0, 0.2])) == np.inf
     law.stress(np.diag([5.0, 1.0, 0.2]))
@@ -100,12 +100,12 @@ def test_an_overstretched_fung_is_infinite_and_silent():
         (lambda: Ogden.from_convention("abaqus", (1.0,), (0.0,)), "exponent 0"),
     ],
 )
-def test_constants_that_make_no_body_are_refused(make, words):
+def test_rejects_invalid_constants(make, words):
     with pytest.raises(InputError, match=words):
         make()
 
 
 @pytest.mark.parametrize("name", [m.name for m in pkgutil.iter_modules(materials.__path__)])
-def test_examples_in_the_docs_hold(name):
+def test_docstring_examples(name):
     module = importlib.import_module(f"palpate.workers.mechanics.materials.{name}")
     assert doctest.testmod(module).failed == 0

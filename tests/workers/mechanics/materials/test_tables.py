@@ -1,4 +1,4 @@
-"""Laws against measured rubber and brain, when the tables are at hand.
+"""Laws against measured rubber and brain, if the tables are available.
 
 Treloar 1944 (vulcanised rubber, to 7.6 times its length), Kawabata 1981 (isoprene
 rubber), Meunier 2008 (silicone, with compression), and human brain in compression,
@@ -35,7 +35,7 @@ FAMILIES = {
 
 def read(path: Path, **options: str) -> np.ndarray:
     if not path.exists():
-        pytest.skip(f"the measured tables are not here: {path}")
+        pytest.skip(f"the measured tables are not available: {path}")
     return np.loadtxt(path, **options).T
 
 
@@ -70,16 +70,16 @@ def error(material: str, law: str) -> float:
     return fitted(material, law).error
 
 
-def test_ogden_follows_treloar_to_the_end_and_neo_hookean_does_not():
-    """Ogden 1972 showed it with three terms; the upturn beyond a stretch of 5 needs them."""
+def test_ogden_but_not_neo_hookean_fits_treloar():
+    """As in Ogden 1972, the upturn beyond a stretch of 5 needs three terms."""
     assert error("Treloar_1944", "ogden-3") < 0.03
     assert max(fitted("Treloar_1944", "ogden-3").errors) < 0.04
     assert error("Treloar_1944", "neo-hookean") > 0.25
     assert error("Treloar_1944", "mooney-rivlin") > 0.25
 
 
-def test_the_constants_that_ogden_published_follow_treloar():
-    """mu = 6.3, 0.012, -0.1 kg/cm2 (as a rule taken for 0.1 MPa each), alpha = 1.3, 5, -2."""
+def test_constants_published_by_ogden_fit_treloar():
+    """mu = 6.3, 0.012, -0.1 kg/cm2 (usually taken as 0.1 MPa each), alpha = 1.3, 5, -2."""
     law = Ogden((0.63, 0.0012, -0.01), (1.3, 5.0, -2.0))
     assert law.shear_modulus_mpa == pytest.approx(0.4225)
     errors = [relative_error(law, table) for table in rubber("Treloar_1944")]
@@ -88,7 +88,7 @@ def test_the_constants_that_ogden_published_follow_treloar():
 
 
 @pytest.mark.parametrize("material", RUBBERS)
-def test_more_constants_of_one_form_follow_closer(material):
+def test_more_constants_of_one_form_fit_better(material):
     for chain in (
         ("neo-hookean", "mooney-rivlin", "mooney-rivlin-5"),
         ("neo-hookean", "yeoh"),
@@ -101,7 +101,7 @@ def test_more_constants_of_one_form_follow_closer(material):
 
 
 @pytest.mark.parametrize("material", RUBBERS)
-def test_three_terms_of_ogden_follow_every_rubber(material):
+def test_three_terms_of_ogden_fit_every_rubber(material):
     assert error(material, "ogden-3") < 0.03
     assert error(material, "neo-hookean") > 0.1
     others = [error(material, law) for law in FAMILIES if law != "ogden-3"]
@@ -109,8 +109,8 @@ def test_three_terms_of_ogden_follow_every_rubber(material):
 
 
 @pytest.mark.parametrize("material", RUBBERS)
-def test_the_shear_modulus_is_that_of_rubber(material):
-    """Some 0.4 MPa, of all laws that follow the tables at all."""
+def test_shear_modulus_is_typical_of_rubber(material):
+    """About 0.4 MPa for all laws that fit the tables."""
     for law in FAMILIES:
         if error(material, law) < 0.1:
             assert 0.25 < fitted(material, law).law.shear_modulus_mpa < 0.5
@@ -118,7 +118,7 @@ def test_the_shear_modulus_is_that_of_rubber(material):
 
 @pytest.mark.parametrize("region", ["cortex", "corona_radiata", "corpus_callosum"])
 def test_brain_is_stiffer_in_compression(region):
-    """One term with a large negative exponent follows; laws of I1 alone are symmetric."""
+    """One term with a large negative exponent fits; laws of I1 alone are symmetric."""
     (alpha,) = fitted(region, "ogden-1").law.alpha
     assert -30 < alpha < -15
     assert error(region, "ogden-1") < 0.13
@@ -127,8 +127,8 @@ def test_brain_is_stiffer_in_compression(region):
     assert 1e-4 < fitted(region, "ogden-1").law.shear_modulus_mpa < 3e-3
 
 
-def test_one_kind_of_test_does_not_decide():
-    """Five constants fitted in tension alone miss the sheet; fitted to all, they do not."""
+def test_one_mode_does_not_determine_five_constants():
+    """Five constants fitted in tension alone miss the sheet test; fitted to all, they do not."""
     tension, sheet, _ = tables = rubber("Treloar_1944")
     family: Family = FAMILIES["mooney-rivlin-5"]
     alone, together = fit(family, [tension]), fit(family, tables)

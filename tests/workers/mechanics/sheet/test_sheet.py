@@ -1,4 +1,4 @@
-"""A thin sheet deforms as plane stress says, whatever its law and mesh."""
+"""A thin sheet deforms in plane stress, whatever its law and mesh."""
 
 from dataclasses import replace
 
@@ -44,14 +44,14 @@ def strip():
 
 
 def side(axis, at, everywhere=np.inf):
-    """The nodes of the sheet at one coordinate."""
+    """Return the region of nodes at one coordinate."""
     low, high = np.full(3, -everywhere), np.full(3, everywhere)
     low[axis], high[axis] = at - 1e-3, at + 1e-3
     return Box(tuple(low), tuple(high))
 
 
 def pulled(along, across=None, constants=None, **rest):
-    """A strip stretched along x, its width free or prescribed."""
+    """Return a problem of a strip stretched along x, with free or prescribed width."""
     holds = [
         Hold(side(0, 0.0), axes=(True, False, False)),
         Hold(side(1, 0.0), axes=(False, True, False)),
@@ -68,7 +68,7 @@ def problem(constants, **rest):
 
 
 def with_law(name, poisson=NEARLY):
-    """Constants of a law away from where it is neo-Hookean."""
+    """Return constants of a law, away from its neo-Hookean limit."""
     plugin, constants = law_named(name), Constants(E, poisson)
     shape = {p.name: p.neutral + 0.3 * (p.upper - p.neutral) for p in plugin.parameters}
     law = plugin.law(constants.mu_mpa, shape)
@@ -80,7 +80,7 @@ def force_on(at, nodes, axis):
 
 
 def test_patch_of_irregular_triangles_deforms_affinely(strip):
-    """The border moves by an affine map; so does every node inside, at the same stress."""
+    """An affine border displacement gives an affine interior with uniform stress."""
     affine = np.array([[0.3, 0.1, 0], [-0.05, -0.2, 0], [0, 0, 0]])
     corners = tuple((x, y, 0.0) for x, y in RECTANGLE)
     moved = tuple(tuple(map(float, affine @ corner)) for corner in corners)
@@ -109,7 +109,7 @@ def test_stretched_strip_follows_the_closed_form_of_its_law(strip, law, stretch)
     assert force_on(both, top, 1) == pytest.approx(P * LENGTH * THICKNESS, rel=1e-4)
 
 
-def test_compressible_strip_has_the_modulus_and_ratio_of_poisson(strip):
+def test_compressible_strip_has_its_modulus_and_poisson_ratio(strip):
     """F = E A eps, and the width shrinks by nu eps, for a small strain."""
     eps, nu = 1e-5, 0.3
     at = equilibrium(strip, pulled(1 + eps, constants=Constants(E, nu)))
@@ -119,8 +119,8 @@ def test_compressible_strip_has_the_modulus_and_ratio_of_poisson(strip):
     assert narrower == pytest.approx(-nu * eps, rel=1e-4)
 
 
-def test_force_and_displacement_tell_the_same_stiffness(strip):
-    """A force on the end moves it as far as needs that force."""
+def test_force_and_displacement_give_the_same_stiffness(strip):
+    """A force moves the end by the displacement that needs this force."""
     moved = equilibrium(strip, pulled(1.25))
     right = strip.nodes[:, 0] > LENGTH - 1e-6
     force = DeadForce((force_on(moved, right, 0), 0, 0), side(0, LENGTH))
@@ -130,8 +130,8 @@ def test_force_and_displacement_tell_the_same_stiffness(strip):
     np.testing.assert_allclose(there, moved.solution.displacement_mm, atol=1e-7)
 
 
-def test_weight_stretches_a_hanging_sheet_as_theory_says(strip):
-    """u(L) = rho g L^2 / 2 E of a bar that hangs, for nu near 0 and a small weight."""
+def test_weight_stretches_a_hanging_sheet_like_a_bar(strip):
+    """u(L) = rho g L^2 / 2 E of a hanging bar, for nu near 0 and a small weight."""
     holds = (
         Hold(side(0, 0.0), axes=(True, False, False)),
         Hold(side(1, 0.0), axes=(False, True, False)),
@@ -144,7 +144,7 @@ def test_weight_stretches_a_hanging_sheet_as_theory_says(strip):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_stress_and_tangent_are_derivatives(law):
-    """S = 2 dW/dC through the work of small strains, and its tangent, by differences."""
+    """S = 2 dW/dC from the work of small strains, and its tangent, by differences."""
     constants, own = with_law(law, poisson=0.45)
     kappa = constants.kappa_mpa
     C = np.array([[[1.5, 0.2], [0.2, 0.9]]])
@@ -218,7 +218,7 @@ def inflated(nodes, pressure_mpa):
 
 
 class _Side:
-    """The nodes on one side of the polygon."""
+    """Region of the nodes on one side of the polygon."""
 
     def __init__(self, a, b):
         self.a, self.b = a, b
@@ -231,7 +231,7 @@ class _Side:
 
 
 def height_by_shooting(pressure_mpa):
-    """Height of an axisymmetric incompressible neo-Hookean membrane, by other equations.
+    """Return the height of an axisymmetric incompressible neo-Hookean membrane by shooting.
 
     Equilibrium of a shell of revolution (J. E. Adkins and R. S. Rivlin, Phil. Trans. R. Soc. A
     244 (1952) 505) in the undeformed radius R, with meridional and hoop stretch l1 and l2 = r/R,
@@ -266,14 +266,14 @@ def height_by_shooting(pressure_mpa):
 
 
 @pytest.mark.parametrize("pressure_mpa", [2e-5, 1e-4, 3e-4])
-def test_inflated_circle_is_as_high_as_a_shell_of_revolution(pressure_mpa):
+def test_inflated_circle_has_the_height_of_a_shell_of_revolution(pressure_mpa):
     at = inflated(1200, pressure_mpa)
     assert at.solution.outcome.converged
     height = at.solution.displacement_mm[:, 2].max()
     assert height == pytest.approx(height_by_shooting(pressure_mpa), rel=5e-3)
 
 
-def test_hardly_inflated_circle_follows_hencky():
+def test_slightly_inflated_circle_follows_hencky():
     """w = 0.595 a (p a / E t)^(1/3) for nu = 0.5 (H. Hencky, Z. Math. Phys. 63 (1915) 311)."""
     pressure = 1e-7
     height = inflated(1200, pressure).solution.displacement_mm[:, 2].max()
@@ -281,7 +281,7 @@ def test_hardly_inflated_circle_follows_hencky():
     assert height == pytest.approx(expected, rel=5e-3)
 
 
-def test_pressure_is_carried_by_the_rim():
+def test_rim_carries_the_pressure():
     """The force on the rim along z is the pressure on the area of the hole."""
     at = inflated(800, 1e-4)
     area = CORNERS / 2 * RADIUS**2 * np.sin(2 * np.pi / CORNERS)
@@ -289,7 +289,7 @@ def test_pressure_is_carried_by_the_rim():
 
 
 def test_pressure_beyond_the_limit_has_no_equilibrium():
-    """A neo-Hookean balloon bursts: an ordinary ending with its reason."""
+    """A neo-Hookean balloon bursts: an ordinary outcome with its reason."""
     outcome = inflated(300, 2e-3).solution.outcome
     assert not outcome.converged
     assert "no equilibrium beyond" in outcome.reason
@@ -324,7 +324,7 @@ def test_even_load_is_shared_by_area_and_by_length():
     assert np.count_nonzero(corner) == 1
 
 
-def test_what_a_sheet_cannot_carry_is_refused(strip):
+def test_rejects_unsupported_problems(strip):
     with pytest.raises(InputError, match="cannot be simulated with skin of its own"):
         equilibrium(strip, pulled(1.1, membrane=Membrane(0.1, 1.0)))
     with pytest.raises(InputError, match="too coarse"):
@@ -336,7 +336,7 @@ def test_what_a_sheet_cannot_carry_is_refused(strip):
         sheet_mesh(crossed, [], 300, THICKNESS)
 
 
-def test_sheet_that_is_not_held_has_no_equilibrium(strip):
+def test_sheet_without_support_has_no_equilibrium(strip):
     force = DeadForce((1e-3, 0, 0), side(0, LENGTH))
     outcome = equilibrium(strip, problem(Constants(E, 0.4), forces=(force,))).solution.outcome
     assert not outcome.converged

@@ -1,4 +1,4 @@
-"""What may touch a plate, and the energy of its contact with all derivatives."""
+"""Nodes and faces that may touch a plate, and the contact energy with its derivatives."""
 
 from dataclasses import dataclass
 
@@ -9,12 +9,12 @@ from palpate.storage.values import FloatArray, IntArray
 
 @dataclass(frozen=True, eq=False)
 class ContactFaces:
-    """The triangles between the contact nodes.
+    """Triangles between the contact nodes.
 
     Parameters
     ----------
     corners : ndarray of int32, shape (f, 3)
-        Among the contact nodes.
+        Indices into the contact nodes.
     stiffness : ndarray, shape (f,)
         Area times penalty, in N/mm.
     """
@@ -28,7 +28,7 @@ NO_FACES = ContactFaces(np.zeros((0, 3), np.int32), np.zeros(0))
 
 @dataclass(frozen=True, eq=False)
 class ContactNodes:
-    """The nodes that may touch a plate.
+    """Nodes that may touch a plate.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class ContactNodes:
     stiffness : ndarray, shape (c,)
         Nodal area times penalty, in N/mm.
     faces : ContactFaces
-        Without any, an edge is felt at the nodes alone.
+        Without faces, an edge acts at the nodes alone.
     """
 
     index: IntArray
@@ -47,7 +47,7 @@ class ContactNodes:
 
 @dataclass(frozen=True, eq=False)
 class ContactPotential:
-    """An energy E(x, t) of the contact nodes and the travel t, with its derivatives.
+    """Energy E(x, t) of the contact nodes and the travel t, with its derivatives.
 
     Parameters
     ----------

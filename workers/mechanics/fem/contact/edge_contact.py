@@ -1,15 +1,15 @@
-r"""Contact of the faces that reach behind the edge of a plate, at points inside of them.
+r"""Contact of faces that reach behind the edge of a plate, at points inside them.
 
-Nodes lie further apart than an edge is round: felt at nodes alone it would let them go one by
-one. A face that reaches behind the edge is therefore pressed at points inside of it, the
-centroids of equal parts, by the same penalty. Their energy takes the place of that of its
+Nodes are further apart than the edge's radius: contact at nodes alone would be lost one node at
+a time. A face that reaches behind the edge is therefore pressed at points inside it, the
+centroids of equal parts, by the same penalty. Their energy replaces the energy of its
 corners by a share that grows with the depths s of the corners behind the edge,
 
 .. math:: E = \sum_a E_a + \sum_f \beta_f (E_f - \sum_{a \in f} E_{fa}) ,
     \quad \beta_f = 1 - \exp(-\sum_{a \in f} s_a^2 / l^2) ,
 
 with the energies E_a of all nodes, E_f of the points of a face and E_fa of its part in its
-corners. In front of the edge, and where the edge lies at the end of the body, only nodes press.
+corners. In front of the edge, and where the edge is at the end of the body, only nodes press.
 """
 
 from dataclasses import dataclass
@@ -25,9 +25,9 @@ from palpate.workers.mechanics.fem.contact.contact_potential import (
 )
 from palpate.workers.mechanics.fem.contact.plate_surface import Edge, PlateSurface, SurfaceGap
 
-# Of each side of a face: 16 points. With 64 a body moves by less than 0.01 mm more or less.
+# Parts of each side of a face: 16 points. With 64 a body moves by less than 0.01 mm.
 PARTS = 4
-# The length l. With 2 mm the faces let go less smoothly, and Newton's method takes longer.
+# The length l. With 2 mm the faces lose contact less smoothly, and Newton's method takes longer.
 CHANGE_MM = 5.0
 
 
@@ -45,7 +45,7 @@ _PAIRS = (SHAPES[:, :, None] * SHAPES[:, None, :]).reshape(len(SHAPES), 9)
 
 @dataclass(frozen=True, eq=False)
 class PressedPoints:
-    """Points of some faces that one plate may press, p to a face.
+    """Points of some faces that one plate may press, p per face.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class PressedPoints:
 
 @dataclass(frozen=True, eq=False)
 class EdgeContact:
-    """Faces that reach behind the edge of a plate, and touch it.
+    """Faces that reach behind the edge of a plate and touch it.
 
     Parameters
     ----------
@@ -99,13 +99,13 @@ class EdgeContact:
     edge : Edge
         Of that plate.
     active : ndarray of int, shape (f,)
-        Which of `ContactNodes.faces` they are.
+        Indices into `ContactNodes.faces`.
     corners : ndarray of int32, shape (f, 3)
-        Among the contact nodes.
+        Indices into the contact nodes.
     behind : ndarray, shape (f, 3)
-        How far each corner lies behind the edge, in mm.
+        Distance of each corner behind the edge, in mm.
     points, at_corners : PressedPoints
-        The points inside the faces, and their parts in the corners.
+        The points inside the faces, and the parts of the corners.
     """
 
     nodes: ContactNodes
@@ -119,7 +119,7 @@ class EdgeContact:
 
     @cached_property
     def share(self) -> FloatArray:
-        """Part in which points take the place of corners, shape (f,)."""
+        """Share in which points replace corners, shape (f,)."""
         return 1 - np.exp(-((self.behind / CHANGE_MM) ** 2).sum(axis=1))
 
     @cached_property
@@ -129,17 +129,18 @@ class EdgeContact:
         return -slope[:, :, None] * self.edge.direction
 
     def taken_from_nodes(self) -> FloatArray:
-        """Return the stiffness that the nodes lose to the points, shape (c,) in N/mm."""
+        """Return the stiffness transferred from the nodes to the points, shape (c,) in N/mm."""
         return self._gathered(self.share[:, None] * self.at_corners.stiffness)
 
     def normal_force(self) -> FloatArray:
-        """Return the normal force on the points, as the nodes carry it, shape (c,) in N."""
+        """Return the normal force on the points, distributed to the nodes, shape (c,) in N."""
         return self._gathered(self.share[:, None] * (self.points.load @ SHAPES))
 
     def normal_force_change(self, moved: FloatArray, travel: float) -> FloatArray:
-        """Return what `normal_force` and the stiffness taken from nodes add to their forces.
+        """Return the change of the nodal normal forces due to the points, shape (c,) in N.
 
-        Along a motion of the contact nodes, (c, 3), and a travel of the plates; (c,) in N.
+        Along a motion of the contact nodes, (c, 3), and a travel of the plates; it includes the
+        stiffness taken from the nodes.
         """
         at, v = self.points.at, self.surface.velocity
         u = moved[self.corners]
@@ -150,9 +151,9 @@ class EdgeContact:
         return self._gathered(change)
 
     def potential(self) -> ContactPotential:
-        """Return the energy of the points, and of the change of their share, without stiffness.
+        """Return the energy of the points and of the change of their share, without stiffness.
 
-        The nodes have what is left of their own; see `stiffness` for the second derivative.
+        The nodes keep the rest of their own energy; see `stiffness` for the second derivative.
         """
         surface, points = self.surface, self.points
         moving = points.at.gradient @ surface.velocity
@@ -177,9 +178,9 @@ class EdgeContact:
 
     @cached_property
     def share_coupling(self) -> FloatArray:
-        """What the change of the share adds to the coupling with the travel, (c, 3) in N/mm.
+        """Coupling with the travel due to the change of the share, (c, 3) in N/mm.
 
-        It goes with the parts of the stiffness that may be negative.
+        It belongs to the parts of the stiffness that may be negative.
         """
         v = self.surface.velocity
         gained = self.points.travel_force(v) - self.at_corners.travel_force(v)
@@ -188,8 +189,8 @@ class EdgeContact:
     def stiffness(self, *, convex: bool) -> FloatArray:
         """Return the stiffness between the corners of each face, (f, 3, 3, 3, 3) in N/mm.
 
-        The axes are face, two corners, and their directions. With `convex` what may be
-        negative is left out: the curvature of the rounding and the change of the share.
+        The axes are face, two corners, and their directions. `convex` omits the parts that may be
+        negative: the curvature of the rounding and the change of the share.
         """
         points, d = self.points, self.edge.direction
         g = points.at.gradient
@@ -203,7 +204,7 @@ class EdgeContact:
         return whole if convex else whole + self._stiffness_of_share()
 
     def _stiffness_of_share(self) -> FloatArray:
-        """Return the part of the stiffness that comes from the change of the share."""
+        """Return the stiffness due to the change of the share."""
         d, s = self.edge.direction, self.behind / CHANGE_MM
         change = np.einsum("fqi,qa->fai", self.points.force, SHAPES) - self.at_corners.force
         cross = self.share_slope[:, :, None, :, None] * change[:, None, :, None, :]
@@ -215,7 +216,7 @@ class EdgeContact:
         )
 
     def _gathered(self, of_corners: FloatArray) -> FloatArray:
-        """Sum what the corners of the faces have, (f, 3) or (f, 3, 3), at the contact nodes."""
+        """Sum values of the corners of the faces, (f, 3) or (f, 3, 3), at the contact nodes."""
         c, index = len(self.nodes.index), self.corners.ravel()
         flat = of_corners.reshape(len(index), -1)
         sums = [np.bincount(index, column, c) for column in flat.T]
@@ -232,14 +233,14 @@ def edge_contact(
     nodes : ContactNodes
     surface : PlateSurface
     here : ndarray, shape (c, 3)
-        Where the contact nodes are, in mm.
+        Positions of the contact nodes, in mm.
     at_nodes : SurfaceGap
         Between them and the plate.
 
     Returns
     -------
     EdgeContact or None
-        None if there are none, or none of them touches.
+        None if no such face touches the plate.
     """
     edge, corners = surface.edge, nodes.faces.corners
     if edge is None:

@@ -1,15 +1,15 @@
-r"""Coulomb friction between skin and plates, in steps of the load.
+r"""Coulomb friction between skin and plates, in load steps.
 
 Within one step a contact node that carries the normal force lambda and slips by s
 against its plate dissipates
 
 .. math:: D = \mu \lambda (\sqrt{s^2 + \epsilon^2} - \epsilon) ,
 
-Coulomb's law but for slips of the order of epsilon, over which friction builds up
-(a regularised pseudo-potential). Slip is counted from an origin: where the node was
-when it began to slip, dragged along behind it from step to step, so that a node that
-sticks does not creep. lambda is the force of the present state: every step ends in
-implicit Coulomb equilibrium. Its derivative is in
+which is Coulomb's law except for slips of the order of epsilon, over which friction
+builds up (a regularised pseudo-potential). Slip is measured from an origin: the node's
+position when it began to slip, dragged along behind it from step to step, so that a
+sticking node does not creep. lambda is the force of the present state: every step ends
+in implicit Coulomb equilibrium. Its derivative is in
 `workers.mechanics.fem.equilibrium.coupled_tangent`.
 """
 
@@ -24,13 +24,13 @@ from palpate.workers.mechanics.fem.contact.plates import PlateContact
 
 # Friction is half built up after 0.6 epsilon.
 EPSILON_MM = 0.05
-# Slip that a sliding node has in reserve when it turns back; friction is then at 95 %.
+# Slip that a sliding node keeps when it reverses; friction is then at 95 %.
 RESERVE_MM = 3 * EPSILON_MM
 
 
 @dataclass(frozen=True, eq=False)
 class PlateFriction:
-    """Friction of one plate during one step of the load.
+    """Friction of one plate during one load step.
 
     Parameters
     ----------
@@ -39,13 +39,13 @@ class PlateFriction:
     coefficient : float
         Coulomb's mu.
     slip_origin : ndarray, shape (c, 3)
-        Where the slip of each contact node counts from, in mm.
+        Origin of the slip of each contact node, in mm.
     start_travel_mm : float
         Travel of the plates at the beginning of the step.
     normal_force : ndarray, shape (c,)
         lambda of each contact node, in N.
     dual : ndarray, shape (c, 3), optional
-        Direction of friction while it is an unknown of its own; see `coupled_newton`.
+        Direction of friction where it is a separate unknown; see `coupled_newton`.
     """
 
     nodes: ContactNodes
@@ -62,7 +62,7 @@ class PlateFriction:
 
     @property
     def sliding_velocity(self) -> FloatArray:
-        """Velocity of the plate within its own plane, per travel."""
+        """Velocity of the plate within its plane, per travel."""
         n, v = self.plate.normal, self.plate.velocity
         return np.asarray(v - (v @ n) * n)
 
@@ -74,16 +74,16 @@ class PlateFriction:
         return np.asarray(moved - (moved @ n)[:, None] * n)
 
     def direction(self, x: FloatArray, travel_mm: float) -> FloatArray:
-        """Return the direction in which friction is overcome, at most 1 long, shape (c, 3)."""
+        """Return the direction of slip, of length at most 1, shape (c, 3)."""
         s = self.slip(x, travel_mm)
         return np.asarray(s / np.sqrt((s * s).sum(axis=1) + EPSILON_MM**2)[:, None])
 
     def with_direction_moved(
         self, length: float, x: FloatArray, travel_mm: float, u: FloatArray, travel: float
     ) -> "PlateFriction":
-        """Return the friction whose direction, an unknown, has gone so far along a step.
+        """Return the friction with its direction, an unknown, moved by a fraction of a step.
 
-        The step goes from (x, travel_mm) along (u, travel).
+        The step starts at (x, travel_mm) and runs along (u, travel).
         """
         if self.dual is None:
             raise AssertionError("the direction is no unknown")
@@ -98,10 +98,10 @@ class PlateFriction:
         return replace(self, dual=dual / np.maximum(size, 1.0))
 
     def next_slip_origin(self, x: FloatArray, travel_mm: float) -> FloatArray:
-        """Return the slip origin of the next step: the nodes less the slip they keep, (c, 3).
+        """Return the slip origin of the next step: node positions minus retained slip, (c, 3).
 
-        Short slips are kept whole, so that the number of steps hardly matters, and of
-        long ones `RESERVE_MM`.
+        Short slips are kept in full, so that the number of steps hardly matters; of long ones
+        `RESERVE_MM` is kept.
         """
         s = self.slip(x, travel_mm)
         far = (s * s).sum(axis=1) / RESERVE_MM**2

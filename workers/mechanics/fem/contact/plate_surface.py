@@ -1,4 +1,4 @@
-r"""Where two rigid plates stand, and the gap between them and the body.
+r"""Surfaces of two rigid plates, and the gap between them and the body.
 
 A plate needs no contact search: it is a plane, or a paraboloid close to one, and
 the gap of a point is
@@ -44,13 +44,13 @@ class Gap:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """Where a plate begins to be flat: the direction into it, (3,), and how far along, in mm."""
+    """Start of the flat part of a plate: direction into it, (3,), and distance along it, in mm."""
 
     direction: FloatArray
     start_mm: float
 
     def behind(self, x: FloatArray) -> FloatArray:
-        """Return how far points, (..., 3), lie behind the edge, (...) in mm; zero before it."""
+        """Return the depth of points, (..., 3), behind the edge, (...) in mm; zero before it."""
         return np.maximum(self.start_mm - x @ self.direction, 0.0)
 
 
@@ -77,7 +77,7 @@ class SurfaceGap:
 
 @dataclass(frozen=True, eq=False)
 class PlateSurface:
-    """One plate where it stands: point, normal into the body, velocity, curvature (3, 3)."""
+    """One plate at its present position: point, inward normal, velocity, curvature (3, 3)."""
 
     point: FloatArray
     normal: FloatArray
@@ -86,7 +86,7 @@ class PlateSurface:
     edge: Edge | None = None
 
     def gap(self, x: FloatArray) -> SurfaceGap:
-        """Measure the gap between points, (..., 3) in mm, and this plate."""
+        """Return the gap between points, (..., 3) in mm, and this plate."""
         r = x - self.point
         bent = r @ self.curvature
         gap = r @ self.normal - 0.5 * (r * bent).sum(axis=-1)
@@ -126,12 +126,12 @@ def _surface(
     plane: FloatArray,
     edge: Edge | None,
 ) -> PlateSurface:
-    """Tilt and bend a plane through `point`; `plane`, (2, 3), are its in-plane axes."""
+    """Tilt and bend a plane through `point`; `plane`, (2, 3), holds its in-plane axes."""
     rotation = np.eye(3)
     for about, degrees in zip(plane, plate.tilt_deg, strict=True):
         rotation = _rotation(about, np.radians(degrees)) @ rotation
     in_plane = plane @ rotation.T
-    # A plate that bends away leaves room: the gap grows with the distance from the pivot.
+    # Where a plate bends away, the gap grows with the distance from the pivot.
     curvature = -sum(b * np.outer(a, a) for a, b in zip(in_plane, plate.bow_per_mm, strict=True))
     return PlateSurface(point, rotation @ normal, velocity, np.asarray(curvature), edge)
 

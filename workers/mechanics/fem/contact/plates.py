@@ -1,8 +1,8 @@
 r"""Contact with two rigid plates, by a penalty on nodal areas.
 
-The penalty lets the body into the plate by pressure / 0.5 N/mm^3, which is 0.04 mm at a mean
-pressure of 20 kPa. Faces that reach behind the edge of a plate are pressed at points inside of
-them; see `workers.mechanics.fem.contact.edge_contact`.
+The body penetrates the plate by pressure / 0.5 N/mm^3, which is 0.04 mm at a mean pressure of
+20 kPa. Faces that reach behind the edge of a plate are pressed at points inside them; see
+`workers.mechanics.fem.contact.edge_contact`.
 """
 
 from dataclasses import dataclass
@@ -49,13 +49,13 @@ class PlateContact:
 
     @cached_property
     def stiffness(self) -> FloatArray:
-        """Stiffness that points of faces leave to each contact node, shape (c,) in N/mm."""
+        """Stiffness of each contact node, less the points' share, shape (c,) in N/mm."""
         whole = self.nodes.stiffness
         return whole if self.at_edge is None else whole - self.at_edge.taken_from_nodes()
 
     @property
     def nodal_load(self) -> FloatArray:
-        """Normal force on each contact node alone, without points of faces, (c,) in N."""
+        """Normal force on each contact node without points of faces, (c,) in N."""
         return self.stiffness * self.penetration
 
     @property
@@ -66,7 +66,7 @@ class PlateContact:
         return self.nodal_load + self.at_edge.normal_force()
 
     def normal_force_change(self, moved: FloatArray, travel: float) -> FloatArray:
-        """Return how the normal force changes, shape (c,) in N.
+        """Return the change of the normal force, shape (c,) in N.
 
         Along a motion of the contact nodes, (c, 3), and a travel of the plates.
         """
@@ -80,7 +80,7 @@ class PlateContact:
 
 
 def plate_contact(nodes: ContactNodes, x: FloatArray, plate: PlateSurface) -> PlateContact:
-    """Measure the gap between the contact nodes of `x`, shape (n, 3) in mm, and one plate."""
+    """Return the gap between the contact nodes of `x`, shape (n, 3) in mm, and one plate."""
     here = x[nodes.index]
     at_nodes = plate.gap(here)
     at_edge = None if plate.edge is None else edge_contact(nodes, plate, here, at_nodes)
@@ -90,8 +90,8 @@ def plate_contact(nodes: ContactNodes, x: FloatArray, plate: PlateSurface) -> Pl
 def penalty_potential(contact: PlateContact) -> ContactPotential:
     """Return the penalty energy of one plate and its derivatives.
 
-    What the faces at an edge add to the stiffness couples their corners: it is not in here,
-    see `EdgeContact.stiffness`.
+    The stiffness of faces at an edge couples their corners and is not included; see
+    `EdgeContact.stiffness`.
     """
     s, g, load = contact.surface, contact.at_nodes.gradient, contact.nodal_load
     k = contact.stiffness * (contact.gap < 0)
@@ -113,10 +113,10 @@ def penalty_potential(contact: PlateContact) -> ContactPotential:
 
 
 def edge_stiffness(contact: PlateContact) -> FloatArray:
-    """Return what the rounding of an edge adds to the stiffness of nodes, (c, 3, 3) in N/mm.
+    """Return the nodal stiffness due to the rounding of an edge, (c, 3, 3) in N/mm.
 
-    It is negative: a node that slides off the edge is pushed on. The plates move along their
-    axis, so the edge stays where it is.
+    It is negative: a node that slides off the edge is pushed further. The plates move along their
+    axis, so the edge does not move within its plane.
     """
     edge = contact.surface.edge
     if edge is None:

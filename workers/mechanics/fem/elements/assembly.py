@@ -9,7 +9,7 @@ and the blocks of its second derivative are made of the same vectors: dyads
 :math:`h_a \otimes h_b` (``straight``), :math:`h_b \otimes h_a` (``crossed``),
 :math:`h \otimes F A g` and multiples of the unit matrix.
 
-Blocks of elements are worked on in scratch arrays whose last axis is the element,
+Blocks of elements are processed in scratch arrays whose last axis is the element,
 and then transposed, so that each element adds its sixteen edges, twelve numbers at a
 time, to the packed rows of the tangent (`workers.mechanics.fem.linear.sparse_products`).
 """
@@ -60,7 +60,7 @@ class Scratch(NamedTuple):
     eta : ndarray, shape (families, LANES), and fibre : ndarray, shape (families, 3, LANES)
     F : ndarray, shape (3, 3, LANES)
     f, h, t, left : ndarray, shape (4, 3, LANES)
-        F g, F^-T g and what stands beside `h` in the dyads of the tangent.
+        F g, F^-T g and the left factors of `h` in the dyads of the tangent.
     diagonal : ndarray, shape (4, 4, LANES)
         Multiples of the unit matrix, above the diagonal only.
     r : ndarray, shape (families + 1, 4, 3, LANES), and rank_one : (families + 1, LANES)
@@ -68,7 +68,7 @@ class Scratch(NamedTuple):
     z : ndarray, shape (4, LANES)
         Gradients along the fibre.
     block : ndarray, shape (3, 3, LANES), and own : ndarray, shape (4, 3, 3, LANES)
-        The block of one pair of corners, and those of each corner with itself.
+        The block of one pair of corners, and the diagonal blocks of all corners.
     out : ndarray, shape (4, 3, LANES)
         Force on the corners.
     lines : ndarray, shape (LANES, 192)
@@ -110,13 +110,13 @@ def assemble(
     force: FloatArray,
     rows: Float32Array,
 ) -> None:
-    """Add the internal force, (n, 3) in N, and the tangent, packed rows (edges, 12).
+    """Add the internal force, (n, 3) in N, and the tangent in packed rows, (edges, 12).
 
     `pressure` is ``kappa_n (v_n / V_n - gamma_n)`` per node and `root` is
     ``sqrt(kappa_n / V_n)``; `edge`, (m, 4, 4), is the row of each pair of nodes.
-    With `convex` the geometric stiffness of pressure and slack fibres, which may be
-    negative, is left out; with `positive` all that can be negative. With empty rows
-    the force alone is added.
+    `convex` omits the geometric stiffness of pressure and slack fibres, which may be
+    negative; `positive` omits every part that can be negative. With empty rows only the
+    force is added.
     """
     families = material.fibre.shape[1]
     s = Scratch(
@@ -174,9 +174,9 @@ def _gather(
     first: int,
     s: Scratch,
 ) -> bool:
-    """Collect what belongs to elements `first` and following; the last one fills up.
+    """Gather the data of elements from `first` on, padded with the last element.
 
-    Returns whether one of them stiffens after Yeoh.
+    The result is True if one of them stiffens by Yeoh's law.
     """
     m = elements.tets.shape[0]
     stiffens = False
@@ -208,7 +208,7 @@ def _isochoric_factor(J: Vector) -> tuple[Vector, Vector, Vector]:
     """Return J^(-2/3) and its logarithmic derivatives J phi', J^2 phi''; see `element_energy`."""
     large = where_below(J, J_SMALL, J_SMALL, J)
     c = rough_inverse_cube_root(large)
-    for _ in range(3):  # each time three times as many digits
+    for _ in range(3):  # each iteration triples the number of digits
         miss = 1.0 - large * c * c * c
         c = c + c * miss * (1.0 / 3.0 + 2.0 / 9.0 * miss)
     phi = c * c
@@ -256,7 +256,7 @@ def _kinematics(s: Scratch) -> tuple[Vector, Vector]:
 def _vectors(
     s: Scratch, material: ElementMaterial, stiffens: bool, convex: bool, positive: bool
 ) -> tuple[int, Vector, Vector]:
-    """Write the force and the vectors that the tangent is made of.
+    """Write the force and the vectors that make up the tangent.
 
     Returns
     -------
@@ -379,7 +379,7 @@ def _blocks(s: Scratch, ranks: int, crossed: Vector, share: Vector) -> None:
                     if i == k:
                         value = value + load(s.diagonal, 4 * a + b)
                     store(s.block, 3 * i + k, value)
-                    # Rigid translations cost nothing: rows of the element sum to zero.
+                    # Rigid translations cost no energy: rows of the element sum to zero.
                     here, there = 9 * a + 3 * i + k, 9 * b + 3 * k + i
                     store(s.own, here, load(s.own, here) - value)
                     store(s.own, there, load(s.own, there) - value)

@@ -1,12 +1,12 @@
-r"""A barrier that keeps elements from collapsing, which the nodal average alone would let them.
+r"""Barrier against the collapse of elements, which the nodal average alone would permit.
 
 Below :math:`J_b`, half of the volume at rest, each element stores
 
 .. math:: W_b = 100 \mu \, (1 - J / J_b)^3 ,
 
 with mu the shear modulus at rest, whatever the law. It is twice continuously differentiable, and
-nothing where no element loses half of its volume. With :math:`C_a = \mathrm{cof}(F) \, g_a`, the
-derivative of J by the place of node a, its force is :math:`V W_b' C_a` and its tangent
+zero where no element loses half of its volume. With :math:`C_a = \mathrm{cof}(F) \, g_a`, the
+derivative of J by the position of node a, its force is :math:`V W_b' C_a` and its tangent
 :math:`V (W_b'' C_a \otimes C_b - W_b' [F (g_a \times g_b)]_\times)`.
 """
 
@@ -27,13 +27,13 @@ from palpate.workers.mechanics.fem.elements.model import LevelModel
 from palpate.workers.mechanics.fem.problem.array_types import Float32Array
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 
-# Volume ratio at which the barrier begins, and its stiffness over the shear modulus.
+# Volume ratio at which the barrier begins, and ratio of its stiffness to the shear modulus.
 J_BARRIER = 0.5
 STIFFNESS = 100.0
 
 
 class Barrier(NamedTuple):
-    """The barrier of all elements.
+    """Barrier of all elements.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Barrier(NamedTuple):
 
 
 def barrier_of(model: LevelModel, problem: Problem) -> Barrier:
-    """Return the barrier of a mesh; of shrunken tissue it begins below its own volume."""
+    """Return the barrier of a mesh; in shrunken tissue it begins below the tissue's own volume."""
     j = J_BARRIER * min(1.0, float(growth_of(problem, model.fractions).min()))
     return Barrier(STIFFNESS * shear_moduli_mpa(model, problem), j)
 
@@ -78,7 +78,7 @@ def barrier_assemble(
 ) -> None:
     """Add force, (n, 3) in N, and tangent to K, (edges, 9), unless it is empty.
 
-    With `convex` the geometric stiffness, which may be negative, is left out.
+    `convex` omits the geometric stiffness, which may be negative.
     """
     tets = elements.tets
     F, C = deformation_gradients(x, elements), np.empty((3, 3))

@@ -164,7 +164,7 @@ def add_edge(
 
 @intrinsic
 def fetch_edge(typing: Context, rows: types.Array, q: types.Integer) -> Intrinsic:
-    """Prefetch ``rows[q]``: it will be written soon."""
+    """Prefetch ``rows[q]`` for writing."""
 
     def generate(
         context: BaseContext, builder: ir.IRBuilder, sig: Signature, arguments: Sequence[ir.Value]

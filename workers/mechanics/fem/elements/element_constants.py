@@ -1,10 +1,10 @@
-r"""Constants of the elements of a mesh, from those of its tissues.
+r"""Constants of the elements of a mesh, averaged over its tissues.
 
 Tissue that has grown to g times its volume, with :math:`F = F_e F_g`, :math:`F_g = g^{1/3} 1`
 (E. K. Rodriguez, A. Hoger, A. D. McCulloch, J. Biomech. 27 (1994) 455), stores g times the
 energy of :math:`F_e`. Isochoric invariants do not change, so its moduli grow by g, its nodes are
-at rest at v / V = g with a bulk modulus of 1 / g, and fibres are shorter by :math:`g^{-1/3}` in
-the measure of F.
+at rest at v / V = g with a bulk modulus of 1 / g, and fibres are shorter by :math:`g^{-1/3}` as
+measured by F.
 """
 
 from collections import Counter
@@ -28,7 +28,7 @@ from palpate.workers.mechanics.materials.base import Isochoric
 
 @dataclass(frozen=True, eq=False)
 class LawElements:
-    """Elements, shape (k,), whose matrix follows `law`, with a factor on it, shape (k,)."""
+    """Elements, shape (k,), whose matrix follows `law`, with factors on it, shape (k,)."""
 
     law: Isochoric
     elements: IntArray
@@ -37,12 +37,12 @@ class LawElements:
 
 @dataclass(frozen=True, eq=False)
 class ElementConstants:
-    """What the elements are made of.
+    """Material constants of the elements.
 
     Parameters
     ----------
     problem : Problem
-        The one that they were made for.
+        The problem they were computed for.
     material : ElementMaterial
     laws : tuple of LawElements
         Elements whose matrix follows another law.
@@ -64,7 +64,7 @@ def element_constants(
 ) -> ElementConstants:
     """Average the constants of the tissues over each element, by volume.
 
-    What `similar`, of another problem on the same mesh, has in common is taken from it.
+    Constants shared with `similar`, of another problem on the same mesh, are reused.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def element_constants(
 def _changed_in_places(
     model: LevelModel, problem: Problem, similar: ElementConstants
 ) -> ElementConstants:
-    """Return `similar` with other variations of the stiffness, where those act that differ."""
+    """Return `similar` with the stiffness updated where the variations differ."""
     now, before = _inclusions(problem), _inclusions(similar.problem)
     differ = (now - before) + (before - now)
     reached = elements_reached(differ, model.nodes, model.elements.tets, model.centroids)
@@ -115,7 +115,7 @@ def _changed_in_places(
 def _stiffnesses(
     model: LevelModel, problem: Problem, elements: IntArray | None = None
 ) -> FloatArray:
-    """Return the share of each tissue in each element, or in some of them, by its stiffness."""
+    """Return the stiffness-weighted share of each tissue in all or some of the elements."""
     part, tets = model.fractions, model.elements.tets
     if elements is not None:
         part, tets = part[elements], tets[elements]
@@ -147,7 +147,7 @@ def _moduli(problem: Problem, part: FloatArray, growth: FloatArray) -> dict[str,
 
 
 def _differ_in_places(p: Problem, q: Problem) -> bool:
-    """Return whether all that differs are inclusions, and no law keeps its own weights."""
+    """Test whether only inclusions differ, and no law keeps its own weights."""
     balls = all(_inclusions(x).total() == len(x.variations) for x in (p, q))
     laws = any(c.law is not None for c in p.constants.values())
     alike = _material_parts(replace(p, variations=())) == _material_parts(replace(q, variations=()))
@@ -160,19 +160,19 @@ def _inclusions(p: Problem) -> Counter[Inclusion]:
 
 
 def _material_parts(p: Problem) -> tuple[object, ...]:
-    """Return all that the constants of the elements depend on."""
+    """Return the parts of a problem that determine the constants of the elements."""
     kinds = p.literal_fibre, p.isochoric_fibre, p.plain_elements
     return dict(p.constants), p.variations, p.fibres, kinds
 
 
 def _fibre_parts(p: Problem) -> tuple[object, ...]:
-    """Return all that the fibre directions depend on."""
+    """Return the parts of a problem that determine the fibre directions."""
     growth = {tissue: c.growth for tissue, c in p.constants.items()}
     return p.fibres, _families(p), p.isochoric_fibre, growth
 
 
 def growth_of(problem: Problem, part: FloatArray) -> FloatArray:
-    """Return the growth of each tissue that a mesh with these shares may have, as V / V0."""
+    """Return the growth V / V0 of each tissue that a mesh with these shares may have."""
     values = np.ones(part.shape[1])
     for tissue, c in _known(problem, part):
         values[tissue] = c.growth
@@ -180,7 +180,7 @@ def growth_of(problem: Problem, part: FloatArray) -> FloatArray:
 
 
 def _at_nodes(model: LevelModel, more: FloatArray) -> FloatArray:
-    """Return the volume ratio at rest of each node, of elements larger by the part `more`, (m,)."""
+    """Return the volume ratio at rest of each node; elements grow by the fraction `more`, (m,)."""
     if not more.any():
         return np.ones(len(model.nodes))
     share = np.repeat(model.elements.volumes * more / 4, 4)
@@ -216,7 +216,7 @@ def _laws(problem: Problem, stiff: FloatArray) -> Iterator[LawElements]:
 
 
 def _column(problem: Problem, part: FloatArray, name: str, *, matrix: bool = False) -> FloatArray:
-    """Return one constant of each tissue; of the matrix, zero where another law stands for it."""
+    """Return one constant of each tissue; for the matrix, zero where another law replaces it."""
     values = np.zeros(part.shape[1])
     for tissue, c in _known(problem, part):
         values[tissue] = 0.0 if matrix and c.law is not None else getattr(c, name)
@@ -224,7 +224,7 @@ def _column(problem: Problem, part: FloatArray, name: str, *, matrix: bool = Fal
 
 
 def _yeoh(problem: Problem, part: FloatArray) -> FloatArray:
-    """Return c2 of each tissue, zero where another law stands for it."""
+    """Return c2 of each tissue, zero where another law replaces it."""
     values = np.zeros(part.shape[1])
     for tissue, c in _known(problem, part):
         values[tissue] = 0.0 if c.law is not None else c.stiffening * c.mu_mpa
@@ -244,4 +244,4 @@ def _check(model: LevelModel, problem: Problem) -> None:
     tissues = [Tissue(int(t)) for t in present]
     missing = [t.name.lower() for t in tissues if t not in problem.constants]
     if missing:
-        raise InputError(f"The mesh contains {', '.join(missing)}, but no constants say how stiff.")
+        raise InputError(f"The mesh contains {', '.join(missing)}, but no constants for it.")

@@ -1,28 +1,28 @@
-r"""Energy of a body of linear tetrahedra.
+r"""Energy of a body made of linear tetrahedra.
 
-Each element carries an isochoric matrix, neo-Hooke's or Yeoh's, and up to two
-families of fibres,
+Each element has an isochoric matrix, neo-Hookean or Yeoh, and up to two families of
+fibres,
 
 .. math:: W_e = \tfrac{\mu}{2}(\bar I_1 - 3) + c_2 (\bar I_1 - 3)^2
           + \sum_f \tfrac{\eta_f}{2}(I_{4f} - 1)^2 , \quad \bar I_1 = J^{-2/3} I_1 ,
 
-and each node a volume ratio, averaged over the elements around it, that stores
+and each node has a volume ratio, averaged over the elements around it, that stores
 
 .. math:: W_n = \tfrac{\kappa_n}{2} (v_n / V_n - \gamma_n)^2 .
 
 :math:`\gamma_n` is 1 where nothing has grown, see `mechanics.fem.elements.element_constants`. The
 nodal average (Bonet & Burton 1998) keeps linear tetrahedra from locking at
 nu = 0.49. `mechanics.fem.elements.assembly` has the first and second derivatives. The second
-is the sum of 3 x 3 blocks over the edges of the mesh and of a rank-one term per
-node, ``sum_n (kappa_n / V_n) g_n g_n^T`` with ``g_n = d v_n / d u``, kept apart
+is the sum of 3 x 3 blocks over the edges of the mesh and a rank-one term per
+node, ``sum_n (kappa_n / V_n) g_n g_n^T`` with ``g_n = d v_n / d u``, stored separately
 because assembling it would couple nodes two edges away.
 
-A fibre may be measured by :math:`\bar I_4 = J^{-2/3} I_4` instead. Every one of
-these is a function of an invariant :math:`\varphi(J)\, F A : F` (A = 1, or the dyad
-of the fibre), so one set of derivatives serves them all.
+A fibre may be measured by :math:`\bar I_4 = J^{-2/3} I_4` instead. All these terms are
+functions of an invariant :math:`\varphi(J)\, F A : F` (A = 1, or the dyad of the fibre),
+so one set of derivatives serves them all.
 
-With `plain` set each element carries its own ``kappa/2 (J - 1)^2`` instead, the
-textbook linear tetrahedron; it locks, and serves to be compared with.
+With `plain` set, each element stores its own ``kappa/2 (J - 1)^2`` instead: the textbook
+linear tetrahedron, which locks and serves for comparison.
 
 Below J = 0.2 the factor :math:`J^{-2/3}` continues as a parabola, twice
 continuously differentiable, so that a trial step may invert an element.
@@ -52,7 +52,7 @@ class Elements(NamedTuple):
 
 
 class ElementMaterial(NamedTuple):
-    """Constants of the elements, as the kernels take them.
+    """Constants of the elements in the kernels' layout.
 
     Parameters
     ----------

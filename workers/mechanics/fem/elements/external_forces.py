@@ -12,15 +12,15 @@ from palpate.workers.mechanics.fem.problem.loads import Attachment, NoPlates, Pr
 from palpate.workers.mechanics.fem.problem.regions import nodes_in
 
 # Frictionless plates leave the body free to drift; springs this weak
-# (5 mN per mm of drift for a litre) hold it without being felt.
+# (5 mN per mm of drift for a litre) hold it without a noticeable force.
 DRIFT_SPRING_N_PER_MM4 = 5e-9
-# A rigid motion that meets less than this part of the largest resistance meets none.
+# A rigid motion with less than this fraction of the largest resistance counts as free.
 LOOSE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class DirichletConditions:
-    """Which displacement components are prescribed, (n, 3), and their values, (n, 3) in mm."""
+    """Mask of prescribed displacement components, (n, 3), and their values, (n, 3) in mm."""
 
     held: BoolArray
     displacement_mm: FloatArray
@@ -29,8 +29,8 @@ class DirichletConditions:
 def spring_stiffness(model: LevelModel, problem: Problem) -> FloatArray:
     """Return the stiffness of the springs that hold each node, shape (n, 3) in N/mm.
 
-    Those that a problem states, and weak ones along axes in which nothing else holds the body.
-    Where the chest wall or a hold does there are none: they would carry a part of the load.
+    These are the springs of the problem, and weak ones along axes in which nothing else holds
+    the body. Where the chest wall or a hold does, weak ones would carry a part of the load.
     """
     wall, load = problem.wall, problem.load
     loose = np.ones(3)
@@ -45,7 +45,7 @@ def spring_stiffness(model: LevelModel, problem: Problem) -> FloatArray:
 
 
 def _axes_of_rigid_motions(model: LevelModel, problem: Problem) -> BoolArray:
-    """Return along which axes a body may move as a whole, whatever holds it, shape (3,)."""
+    """Find the axes along which the whole body may move despite its supports, shape (3,)."""
     away = model.nodes - model.nodes.mean(axis=0)
     away /= np.sqrt((away**2).sum(axis=1).mean())
     turns = [np.cross(axis, away) for axis in np.eye(3)]
@@ -77,7 +77,7 @@ def _attachment_springs(model: LevelModel, attachment: Attachment) -> FloatArray
 
 
 def dead_load(model: LevelModel, problem: Problem, density: FloatArray) -> FloatArray:
-    """Return gravity and forces that keep their direction, shape (n, 3) in N.
+    """Return gravity and forces of constant direction, shape (n, 3) in N.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def pressure_forces(
     """Return the forces of follower pressure at positions `x`, shape (n, 3) in N.
 
     A third of pressure times area acts on each corner of a triangle, against its
-    outward normal as it is now.
+    present outward normal.
     """
     triangles = model.sheet.triangles
     corners = x[triangles]

@@ -1,4 +1,4 @@
-"""Sparsity pattern of the tangent: which nodes share an element."""
+"""Sparsity pattern of the tangent: pairs of nodes that share an element."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ class Graph:
         Row i is ``neighbour[start[i]:start[i + 1]]``, ascending, i itself included.
     neighbour : ndarray of int32, shape (edges,)
     diagonal : ndarray of int32, shape (n,)
-        Where i stands in its own row.
+        Position of i in its own row.
     edge : ndarray of int32, shape (m, 4, 4)
         Row of ``neighbour`` for each ordered pair of nodes of each element.
     """

@@ -1,7 +1,7 @@
-r"""Skin as a sheet on the surface triangles that resists being stretched and wrinkles.
+r"""Skin as a sheet on the surface triangles, which resists stretching and may wrinkle.
 
 A sheet without bending stiffness cannot be compressed: it folds, finer than any
-mesh, until nothing is compressed. What it then stores is the relaxed energy of
+mesh, until nothing is compressed. It then stores the relaxed energy of
 Pipkin (1986), *The relaxed energy density for isotropic elastic membranes*, IMA J.
 Appl. Math. 36:85-99, the tension field of Steigmann (1990), *Tension-field theory*,
 Proc. R. Soc. Lond. A 429:141-173. With the principal stretches l1 >= l2, shear modulus
@@ -16,14 +16,14 @@ mu = E / 3, thickness t and undeformed area A,
     \end{cases}
 
 The first line is the incompressible neo-Hookean law in plane stress (Bonet & Wood
-2008, section 6.6). At its border l2 is the width that a strip pulled along l1 takes of
-itself, and the second line the energy of that strip. W is once continuously
+2008, section 6.6). At its border l2 is the natural width of a strip pulled along l1,
+and the second line is the energy of that strip. W is once continuously
 differentiable. It is convex in the positions of the nodes, being convex in (l1, l2)
-and growing with each of them: the tangent is never indefinite, whatever the regime.
+and increasing in each of them: the tangent is never indefinite, whatever the regime.
 
 The stretches come from the metrics: l1^2 and l2^2 are the eigenvalues of G^-1 g, with
-g the metric of the deformed triangle and G that of the undeformed one. In these terms
-the taut sheet stores tr G^-1 g + det G / det g - 3.
+g the metric of the deformed and G the metric of the undeformed triangle. In these
+terms the taut sheet stores tr G^-1 g + det G / det g - 3.
 
 Without `wrinkles` the sheet is taut everywhere, and pushes back when compressed.
 """
@@ -38,13 +38,13 @@ from palpate.workers.compile_flags import CONTRACTED
 from palpate.workers.mechanics.fem.problem.array_types import Float32Array
 
 TAUT, WRINKLED, SLACK = 0, 1, 2
-# A sheet at rest lies where the three regimes meet. Rounding must not choose: it is taut.
+# A sheet at rest is where the three regimes meet. To exclude rounding errors, it counts as taut.
 _AT_REST = 1.0 - 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """PlateSurface triangles with their undeformed metric.
+    """Surface triangles with their undeformed metric.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Sheet:
 
     @property
     def arrays(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Triangles, metric and area, as the kernels take them."""
+        """Triangles, metric and area, in the kernels' layout."""
         return self.triangles, self.metric, self.area
 
 
@@ -93,7 +93,7 @@ def _dot(a: FloatArray, b: FloatArray) -> float:
 def _principal(e: FloatArray, metric: FloatArray, n: FloatArray) -> tuple[float, float]:
     """Return l1^2 and l2^2; `n` receives their directions, (2, 2), as sums of undeformed edges.
 
-    Where l1 = l2 there are none, and `n` may be nan; no wrinkles lie there.
+    Where l1 = l2 there are none, and `n` may be nan; there are no wrinkles there.
     """
     # r r^T = G^-1: columns of r are orthonormal in the undeformed triangle.
     r11 = np.sqrt(metric[0])
@@ -105,7 +105,7 @@ def _principal(e: FloatArray, metric: FloatArray, n: FloatArray) -> tuple[float,
     c22 = r22 * r22 * g22
     half = 0.5 * (c11 - c22)
     radius = np.sqrt(half * half + c12 * c12)
-    # The longer of two parallel eigenvectors: nothing cancels in it.
+    # The longer of two parallel eigenvectors: free of cancellation.
     p, q = (half + radius, c12) if half >= 0.0 else (c12, radius - half)
     length = np.sqrt(p * p + q * q)
     p, q = p / length, q / length
@@ -161,8 +161,8 @@ def sheet_assemble(
 ) -> None:
     """Add the sheet's force, (n, 3) in N, and tangent to K, (edges, 9).
 
-    `edge`, (k, 3, 3), is the row of K of each pair of corners. With an empty K the
-    force alone is added.
+    `edge`, (k, 3, 3), is the row of K of each pair of corners. With an empty K only the
+    force is added.
     """
     e = np.empty((2, 3))
     n = np.empty((2, 2))

@@ -1,4 +1,4 @@
-"""The discretisation: geometry, graph and transfer of each mesh, made once and reused."""
+"""Discretisation: geometry, graph and transfer of each mesh, computed once and reused."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +32,7 @@ class Transfer:
     exact : csr_matrix, shape (n, coarser n)
         Prolongation in double precision.
     prolongation, restriction : csr_matrix
-        The same and its transpose in single precision, for the V-cycle.
+        The prolongation and its transpose in single precision, for the V-cycle.
     """
 
     exact: sparse.csr_matrix
@@ -42,7 +42,7 @@ class Transfer:
 
 @dataclass(frozen=True, eq=False)
 class LevelModel:
-    """One mesh of the hierarchy, ready for any constants and loads.
+    """One mesh of the hierarchy, prepared for any constants and loads.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class LevelModel:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """The levels of a body, coarse to fine."""
+    """Levels of a body, coarse to fine."""
 
     levels: tuple[LevelModel, ...]
 
@@ -93,17 +93,17 @@ class Model:
 
     @property
     def finest(self) -> LevelModel:
-        """The level whose displacement is the solution."""
+        """Level whose displacement is the solution."""
         return self.levels[-1]
 
 
 def prepare(hierarchy: Hierarchy) -> Model:
-    """Make ready all that candidates on the same mesh share."""
+    """Prepare the data that candidates on the same mesh share."""
     return Model(tuple(_prepare_level(level) for level in hierarchy.levels))
 
 
 def reshaped(model: Model, nodes: Sequence[FloatArray]) -> Model:
-    """Return the same meshes with other undeformed nodes, one array for each level."""
+    """Return the same meshes with other undeformed nodes, one array per level."""
     levels = [
         replace(level, **_geometry(x, level.elements.tets, level.sheet.triangles, level.wall))
         for level, x in zip(model, nodes, strict=True)
@@ -112,7 +112,7 @@ def reshaped(model: Model, nodes: Sequence[FloatArray]) -> Model:
 
 
 def _prepare_level(level: MeshLevel) -> LevelModel:
-    """Make one level ready."""
+    """Prepare one level."""
     nodes = np.ascontiguousarray(level.mesh.nodes, dtype=np.float64)
     tets = np.ascontiguousarray(level.mesh.tets, dtype=np.int32)
     surface = np.ascontiguousarray(level.surface, dtype=np.int32)
@@ -129,7 +129,7 @@ def _prepare_level(level: MeshLevel) -> LevelModel:
 
 
 class _Geometry(TypedDict):
-    """The part of a `LevelModel` that follows from the positions of the nodes."""
+    """Part of a `LevelModel` that depends on the positions of the nodes."""
 
     nodes: FloatArray
     elements: Elements
@@ -141,7 +141,7 @@ class _Geometry(TypedDict):
 
 
 def _geometry(nodes: FloatArray, tets: IntArray, surface: IntArray, wall: IntArray) -> _Geometry:
-    """Measure elements, areas and volumes."""
+    """Compute elements, areas and volumes."""
     gradients, volumes = shape_gradients(nodes, tets)
     _, on_wall = split_boundary(boundary_triangles(tets), wall)
     return {

@@ -1,12 +1,11 @@
 """Short vectors for compiled loops: several numbers added and multiplied in one instruction.
 
-The loop over a row of the tangent is too short, and writes too near to where it
-reads, for the compiler to vectorise; assembly is one long sequence for each
-element. A `Vector` says outright that `LANES` of them go side by side: right-hand
-sides in `sparse_products`, elements in `assembly`. It adds, subtracts, multiplies and
-divides with vectors and numbers. What a processor lacks (512, 256 bits), LLVM
-splits into what it has. A `Vector` lives inside a compiled function only, in
-registers.
+The loop over a row of the tangent is too short, and writes too close to its reads, for
+the compiler to vectorise; assembly is one long sequence for each element. A `Vector`
+explicitly processes `LANES` items at once: right-hand sides in `sparse_products`,
+elements in `assembly`. It adds, subtracts, multiplies and divides with vectors and
+numbers. LLVM splits widths that a processor lacks (512, 256 bits). A `Vector` exists
+only inside a compiled function, in registers.
 """
 
 import operator
@@ -20,7 +19,7 @@ from numba.core.typing import Context, Signature
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-# Eight doubles fill the widest register; sixteen at once won a tenth on full blocks
+# Eight doubles fill the widest register; sixteen at once gained a tenth on full blocks
 # and lost up to half on others.
 LANES = 8
 
@@ -29,11 +28,11 @@ INDEX = ir.IntType(64)
 
 Generator = Callable[[BaseContext, ir.IRBuilder, Signature, Sequence[ir.Value]], ir.Value]
 Intrinsic = tuple[Signature, Generator]
-"""What an intrinsic returns: its signature, and how to write it down."""
+"""Result of an intrinsic: its signature and its code generator."""
 
 
 class Vector(types.Type):
-    """`width` numbers of a type, side by side."""
+    """Type of `width` adjacent numbers."""
 
     def __init__(self, dtype: types.Float, width: int) -> None:
         self.dtype, self.width = dtype, width
@@ -42,7 +41,7 @@ class Vector(types.Type):
 
 @register_model(Vector)
 class _VectorModel(models.PrimitiveModel):
-    """Represents a `Vector` by LLVM's own type."""
+    """Data model of a `Vector`: LLVM's own type."""
 
     def __init__(self, manager: DataModelManager, vector: Vector) -> None:
         super().__init__(manager, vector, llvm(vector))
@@ -62,20 +61,20 @@ def place(
     item: ir.Value,
     stored: ir.Type,
 ) -> ir.Value:
-    """Return the address of number `item` of a contiguous array, as one of type `stored`."""
+    """Return the address of number `item` of a contiguous array, as a pointer to `stored`."""
     data = context.make_array(array_type)(context, builder, value=array).data
     return builder.bitcast(builder.gep(data, [item]), stored.as_pointer())
 
 
 def load_at(builder: ir.IRBuilder, address: ir.Value, dtype: types.Float) -> ir.Value:
-    """Load what `address` points to, aligned as single numbers are."""
+    """Load from `address`, aligned like single numbers."""
     value = builder.load(address)
     value.align = dtype.bitwidth // 8
     return value
 
 
 def as_index(builder: ir.IRBuilder, number: ir.Value) -> ir.Value:
-    """Widen a number that is never negative to the size of an address."""
+    """Widen a non-negative number to the size of an address."""
     return number if number.type.width == 64 else builder.zext(number, INDEX)
 
 
@@ -87,7 +86,7 @@ def zeros(vector: Vector) -> ir.Value:
 def _broadcast(
     context: BaseContext, builder: ir.IRBuilder, kind: types.Type, value: ir.Value, vector: Vector
 ) -> ir.Value:
-    """Put `value` into each lane, if it is a number."""
+    """Broadcast `value` to all lanes if it is a number."""
     if isinstance(kind, Vector):
         return value
     number = context.cast(builder, value, kind, vector.dtype)
@@ -98,7 +97,7 @@ def _broadcast(
 
 
 def _define_arithmetic(symbol: Callable[..., object], name: str) -> None:
-    """Teach the compiler one operator between vectors, and vectors and numbers."""
+    """Register one operator between vectors, and between vectors and numbers."""
 
     @infer_global(symbol)
     class Typing(AbstractTemplate):
@@ -165,7 +164,7 @@ def store(typing: Context, x: types.Array, k: types.Integer, value: Vector) -> I
 
 @intrinsic
 def lanes_of(typing: Context, value: types.Type) -> Intrinsic:
-    """Return a number as it is, and an array (LANES,) as a `Vector`."""
+    """Return a number unchanged, and an array (LANES,) as a `Vector`."""
     if not isinstance(value, types.Array):
         return value(value), lambda context, builder, signature, arguments: arguments[0]
     vector = Vector(value.dtype, LANES)
@@ -202,7 +201,7 @@ def where_below(
 def rough_inverse_cube_root(typing: Context, a: Vector) -> Intrinsic:
     """Return ``a**(-1/3)`` within 4 %, for a > 0 in single precision's range.
 
-    A third is taken off the exponent, bits and all (Lomont 2003 does it for a half).
+    Dividing the bit pattern by three divides the exponent (Lomont 2003 divides by two).
     """
 
     def generate(

@@ -1,4 +1,4 @@
-"""The state of a level at a moment of the loading, and what it owes to the way there."""
+"""State of a level at one stage of the loading, and its history variables."""
 
 from dataclasses import dataclass, field, replace
 
@@ -11,20 +11,20 @@ from palpate.workers.mechanics.fem.problem.loads import Device
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """History variables: what an equilibrium depends on besides positions and load.
+    """History variables: dependences of an equilibrium other than positions and load.
 
-    Friction and follower pressure have no energy. The forces here are held while an
-    energy is minimised; `Level.update_history` brings them up to date.
+    Friction and follower pressure have no energy. These forces are held while an energy is
+    minimised; `Level.update_history` updates them.
 
     Parameters
     ----------
     friction : tuple of PlateFriction
-        Of the lower and the upper plate; empty without friction.
+        For the lower and the upper plate; empty without friction.
     follower_force : ndarray, shape (n, 3), optional
-        Of the full follower pressures, in N; None before the first update.
+        Force of the full follower pressures, in N; None before the first update.
     eigenvector : ndarray of float32, shape (n, 4), optional
-        Estimate of the stiffest mode of the smoothed tangent, from which the next
-        power iteration of the linear solver starts; it changes last digits only.
+        Estimate of the stiffest mode of the smoothed tangent, which starts the next power
+        iteration of the linear solver; it affects only the last digits.
     """
 
     friction: tuple[PlateFriction, ...] = ()
@@ -41,7 +41,7 @@ class State:
     x : ndarray, shape (n, 3)
         Positions of the nodes in mm.
     travel_mm : float
-        How far the plates have closed.
+        Closing distance of the plates.
     history : History
     """
 
@@ -54,7 +54,7 @@ class State:
         return State(x, travel_mm, self.history)
 
     def moved_along(self, length: float, u: FloatArray, travel: float) -> "State":
-        """Return the state so far along a step, the directions of friction moved with it."""
+        """Return the state after a fraction of a step, directions of friction included."""
         x, t = self.x + length * u, self.travel_mm + length * travel
         friction = tuple(
             f.with_direction_moved(length, self.x, self.travel_mm, u, travel)
@@ -63,14 +63,14 @@ class State:
         return State(x, t, replace(self.history, friction=friction))
 
     def with_free_directions(self) -> "State":
-        """Return the state with directions of friction that are unknowns of their own."""
+        """Return the state with the directions of friction as separate unknowns."""
         friction = tuple(
             replace(f, dual=f.direction(self.x, self.travel_mm)) for f in self.history.friction
         )
         return replace(self, history=replace(self.history, friction=friction))
 
     def with_directions_of_slip(self) -> "State":
-        """Return the state with the directions of friction that its slips have."""
+        """Return the state with the directions of friction taken from its slips."""
         friction = tuple(replace(f, dual=None) for f in self.history.friction)
         return replace(self, history=replace(self.history, friction=friction))
 
@@ -81,16 +81,16 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """The load at one moment of the loading.
+    """Load at one stage of the loading.
 
     Parameters
     ----------
     gap : Gap or None
-        Where the plates stand at zero travel; None without plates.
+        Position of the plates at zero travel; None without plates.
     force_n : float or None
-        Force that the plates carry; None where they stay at `gap`.
+        Force on the plates; None where they stay at `gap`.
     fraction : float
-        Of gravity, forces, pressures and prescribed displacements.
+        Fraction of gravity, forces, pressures and prescribed displacements.
     device : Device
     """
 
@@ -100,7 +100,7 @@ class Stage:
     device: Device
 
     def gap_at(self, travel_mm: float) -> Gap | None:
-        """Return where the plates stand along the axis after `travel_mm`."""
+        """Return the positions of the plates along the axis after `travel_mm`."""
         if self.gap is None or self.force_n is None:
             return self.gap
         return self.gap.closed_by(travel_mm, self.device.lower_share)

@@ -1,13 +1,13 @@
-r"""Newton's method on displacements and friction forces together.
+r"""Newton's method for displacements and friction forces together.
 
 Friction has no energy, so nothing is minimised: each step solves the non-symmetric system of
-`coupled_tangent`. The direction w of the friction on a node is an unknown of its own, bound to
+`coupled_tangent`. The direction w of the friction on a node is a separate unknown, related to
 its slip s by
 
 .. math:: \sqrt{s^2 + \epsilon^2} \, w = s ,
 
-and linearised as such (Chan, Golub and Mulet, SIAM J. Sci. Comput. 20 (1999) 1964): a node that
-turns from sticking to slipping does so in one step, however short epsilon is.
+and linearised in this form (Chan, Golub and Mulet, SIAM J. Sci. Comput. 20 (1999) 1964): a node
+changes from sticking to slipping in one step, however small epsilon is.
 """
 
 from dataclasses import dataclass, replace
@@ -27,14 +27,14 @@ from palpate.workers.mechanics.fem.equilibrium.newton import (
 from palpate.workers.mechanics.fem.linear.level import Energy, Level
 from palpate.workers.mechanics.fem.linear.multigrid import LinearSolverFactory
 
-# Steps along a path of friction take 4 to 8; what needs more is left to slower updates.
+# Steps along a path of friction take 4 to 8; harder ones are left to the slower updates.
 MAX_ITERATIONS = 30
 MAX_HALVINGS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A Newton direction from a state, its slope under held friction, and its linear system."""
+    """Newton direction from a state, its slope with friction held, and its linear system."""
 
     u: FloatArray
     travel: float
@@ -45,7 +45,7 @@ class _Step:
     coupled: CoupledTangent
 
     def size(self, force: FloatArray, plate: float) -> float:
-        """Return about how far nodes are moved by what is out of balance, a norm in mm."""
+        """Estimate the displacement that the out-of-balance force would cause, a norm in mm."""
         return float(np.linalg.norm(self.coupled.precondition(force, plate)))
 
 
@@ -96,10 +96,10 @@ def solve_coupled(
 def _line_search(
     level: Level, state: State, energy: Energy, stage: Stage, step: _Step
 ) -> tuple[State, Energy, float]:
-    """Halve the step until it helps; the last try is taken, for nothing need fall all the way.
+    """Halve the step until it helps, or take the last try: no quantity need fall monotonically.
 
-    It helps if the potential falls under the friction of `state`, or the error that is
-    estimated from what is out of balance, friction brought up to date.
+    A step helps if it lowers the potential with the friction of `state` held, or the error
+    estimated from the out-of-balance force with friction updated.
     """
     length = min(1.0, LONGEST_STEP_MM / step.longest) if step.longest > 0 else 1.0
     before: float | None = None

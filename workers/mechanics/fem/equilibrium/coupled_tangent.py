@@ -1,10 +1,10 @@
-r"""The tangent of an equilibrium with friction or follower pressure, which have no energy.
+r"""Tangent of an equilibrium with friction or follower pressure, which have no energy.
 
-To the symmetric tangent K it adds their derivative N by positions and travel. Friction follows
-the normal force, mu (d lambda) w with the direction w, and lambda is as stiff as the plates: a
-node that is pressed in by a micrometre is dragged along by as much as all that holds it. Taken
-by :math:`1 + \mu w n^T` from the left, the stiff part of K + N is that of K, which is therefore
-a good preconditioner of what is left.
+It adds their derivative N by positions and travel to the symmetric tangent K. Friction follows
+the normal force, mu (d lambda) w with the direction w, and lambda is as stiff as the plates:
+pressing a node in by a micrometre drags it along with a force comparable to its support.
+Multiplied by :math:`1 + \mu w n^T` from the left, K + N has the stiff part of K, which is
+therefore a good preconditioner.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ class CoupledTangent:
     ----------
     level, stage : Level and Stage
     state, energy : State and Energy
-        With friction and pressure brought up to date.
+        With friction and pressure up to date.
     tangent, linear : Tangent and LinearSolver
         The symmetric part, and its solver.
     """
@@ -69,7 +69,7 @@ class CoupledTangent:
         return found, (plate - along - on_plate) / self._plate_stiffness
 
     def precondition(self, force: FloatArray, plate: float) -> FloatArray:
-        """Return about how far the nodes move under a force, shape (n, 3) in mm."""
+        """Estimate the displacement of the nodes under a force, shape (n, 3) in mm."""
         t, b = self._tangent, np.zeros((len(force), 4))
         b[:, :3] = force
         if self._moves:
@@ -79,7 +79,7 @@ class CoupledTangent:
         return self._precondition(b)[:, :3]
 
     def _multiply(self, v: FloatArray) -> FloatArray:
-        """Return the whole tangent times `v`, (n, 4), the travel eliminated."""
+        """Return the complete tangent times `v`, (n, 4), with the travel eliminated."""
         x, y, t = v.copy(), np.zeros_like(v), self._tangent
         self._linear.multiply(x, y)
         force, on_plate = self._without_energy(v[:, :3], 0.0)
@@ -93,7 +93,7 @@ class CoupledTangent:
         return y
 
     def _precondition(self, r: FloatArray) -> FloatArray:
-        """Return the displacement under a force, both (n, 4), about."""
+        """Estimate the displacement under a force, both (n, 4)."""
         r = r.copy()
         for index, normal, direction in self._pressed:
             r[index, :3] += (normal * r[index, :3]).sum(axis=1, keepdims=True) * direction

@@ -6,11 +6,11 @@ In the nodal-averaged element the first Piola-Kirchhoff stress is
           p = \tfrac14 \sum_{a=1}^4 \kappa_a (v_a / V_a - \gamma_a) ,
 
 the mean of the pressures of its four nodes, with :math:`\gamma = 1` where nothing has grown
-(Bonet & Burton, Comm. Numer. Meth. Engng 14 (1998) 437-449): with it the force on a node is the
-sum of :math:`V P g_a` over the elements around. In a plain element
+(Bonet & Burton, Comm. Numer. Meth. Engng 14 (1998) 437-449): the force on a node is then the
+sum of :math:`V P g_a` over the elements around it. In a plain element
 :math:`p = \kappa (J - 1)`. The barrier of elements adds to p where it acts, see
-`mechanics.fem.elements.barrier`. Here p is positive in tension; the `pressure_mpa` that is
-reported has the sign of a fluid's, positive where it is squeezed.
+`mechanics.fem.elements.barrier`. Here p is positive in tension; the reported `pressure_mpa`
+is positive in compression, like a fluid pressure.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from palpate.workers.mechanics.fem.linear.level import Level
 
 @dataclass(frozen=True, eq=False)
 class ElementFields:
-    """What a solution is like inside; m elements, n nodes.
+    """Stress, strain and volume change of a solution; m elements, n nodes.
 
     Parameters
     ----------
@@ -37,9 +37,9 @@ class ElementFields:
     piola_mpa, cauchy_mpa : ndarray, shape (m, 3, 3)
         First Piola-Kirchhoff stress P, and P F^T / J.
     pressure_mpa : ndarray, shape (m,)
-        Minus a third of the trace of the Cauchy stress; positive where squeezed.
+        Minus a third of the trace of the Cauchy stress; positive in compression.
     node_volume_ratio, node_pressure_mpa : ndarray, shape (n,)
-        Averaged over the elements around a node, by volume.
+        Volume-weighted averages over the elements around a node.
     """
 
     volume_ratio: FloatArray
@@ -60,7 +60,7 @@ class ElementFields:
 def element_fields(level: Level, x: FloatArray) -> ElementFields:
     """Return stress, strain and volume change at positions `x`, shape (n, 3) in mm.
 
-    Skin is a sheet of its own: its stress is not part of that of the elements.
+    Skin is a separate sheet: its stress is not included in the elements' stress.
     """
     elements = level.model.elements
     F = element_energy.deformation_gradients(x, elements)
@@ -82,7 +82,7 @@ def element_fields(level: Level, x: FloatArray) -> ElementFields:
 
 
 def _at_nodes(level: Level, values: FloatArray) -> FloatArray:
-    """Average values of the elements, (m,), over those around each node, (n,), by volume."""
+    """Average element values, (m,), around each node, (n,), weighted by volume."""
     elements, total = level.model.elements, level.model.nodal_volumes
     share = np.repeat(elements.volumes * values / 4, 4)
     return np.asarray(np.bincount(elements.tets.ravel(), share, len(total)) / total)
@@ -98,7 +98,7 @@ def _mean_stress(level: Level, J: FloatArray) -> FloatArray:
 
 
 def _isochoric_stress(level: Level, F: FloatArray, J: FloatArray) -> FloatArray:
-    """Return what the matrix gives to P, shape (m, 3, 3)."""
+    """Return the matrix's contribution to P, shape (m, 3, 3)."""
     material = level.constants.material
     phi, slope = _isochoric_factor(J)
     s = phi * np.einsum("eij,eij->e", F, F) - 3
@@ -109,7 +109,7 @@ def _isochoric_stress(level: Level, F: FloatArray, J: FloatArray) -> FloatArray:
 
 
 def _fibre_stress(level: Level, F: FloatArray, J: FloatArray) -> FloatArray:
-    """Return what the fibres give to P, shape (m, 3, 3)."""
+    """Return the fibres' contribution to P, shape (m, 3, 3)."""
     material = level.constants.material
     phi, slope = _isochoric_factor(J)
     if not material.isochoric_fibre:

@@ -1,7 +1,7 @@
-"""Whether a state that Newton's method has left is in equilibrium.
+"""Check that the last state of Newton's method is in equilibrium.
 
-Newton's method ends where its last full step is short. In a body that is much stiffer than
-its load every step is short, in equilibrium or not; so the forces of the last state are
+Newton's method ends when its last full step is short. In a body that is very stiff for its
+load every step is short, in equilibrium or not; so the forces of the last state are
 compared with the load.
 """
 
@@ -11,19 +11,19 @@ from palpate.storage.values import FloatArray
 from palpate.workers.mechanics.fem.elements.states import Stage, State
 from palpate.workers.mechanics.fem.linear.level import Energy, Level
 
-# Largest part of the load that may be out of balance, or missing on the plates.
+# Largest fraction of the load that may be out of balance, or missing on the plates.
 LARGEST_SHARE = 1e-3
-# A problem that asks for a rougher solution than this is given a larger part in proportion:
-# the diagnosis does so where a column only chooses what is fitted.
+# Problems with a looser tolerance than this are allowed a proportionally larger fraction:
+# the diagnosis solves such ones where a column only selects what to fit.
 USUAL_TOLERANCE_MM = 2e-3
-# Forces below are rounding: a body that nothing loads.
+# Smaller forces are rounding errors: the body is not loaded.
 ROUNDING_N = 1e-7
 
 
 def equilibrium_fault(
     level: Level, state: State, at: Energy, stage: Stage, force: FloatArray
 ) -> str:
-    """Return why a state is not in equilibrium, with the figure; empty where it is.
+    """Return the reason why a state is not in equilibrium, with the figure; empty if it is.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def equilibrium_fault(
     stage : Stage
         The full load.
     force : ndarray, shape (n, 3)
-        Out-of-balance force on every node in N, held ones included.
+        Out-of-balance force on every node in N, including held ones.
     """
     load_n = load_size_n(level, state, at, stage, force)
     allowed = LARGEST_SHARE * max(1.0, level.problem.tolerance_mm / USUAL_TOLERANCE_MM)
@@ -52,9 +52,9 @@ def equilibrium_fault(
 
 
 def load_size_n(level: Level, state: State, at: Energy, stage: Stage, force: FloatArray) -> float:
-    """Return the size of what loads the body in N: plates, forces, moved places.
+    """Return the size of the load in N: plates, forces, prescribed displacements.
 
-    Where nothing of these acts, the reactions of what holds the body.
+    If none of these act, it is the size of the reactions of the supports.
     """
     plates_n = stage.force_n if stage.force_n is not None else max(at.plate_forces)
     follower = state.history.follower_force

@@ -1,4 +1,4 @@
-"""Equilibrium of one mesh at one moment, friction and follower pressure included."""
+"""Equilibrium of one mesh at one load stage, including friction and follower pressure."""
 
 from dataclasses import replace
 
@@ -13,12 +13,12 @@ from palpate.workers.mechanics.fem.linear.multigrid import LinearSolverFactory
 
 # Updates of friction and follower pressure before giving up.
 MAX_UPDATES = 40
-# How exactly a state is found that an update will change anyway: the first one, and those
-# after, as a part of what the last update moved.
+# Accuracy of states that an update will change anyway: the first one, and later ones as a
+# fraction of the last update's displacement.
 FIRST_TOLERANCE_MM = 0.2
 PART_OF_LAST_MOTION = 0.1
-# A state whose steps are short, but whose forces are not balanced, is solved on to a tolerance
-# that is smaller by this factor, so many times.
+# A state with short steps but unbalanced forces is solved further, to a tolerance smaller by
+# this factor, up to so many times.
 TIGHTER, MAX_TIGHTENINGS = 0.1, 2
 
 
@@ -31,14 +31,14 @@ def solve_level(
     max_iterations: int | None = None,
     forcing: float = LOOSEST,
 ) -> Result:
-    """Find the equilibrium near `start`, forces without an energy brought up to date.
+    """Find the equilibrium near `start`, with forces without an energy up to date.
 
     Friction is solved for together with the displacements. Where that does not converge, and for
     follower pressure alone, such forces are held while the energy is minimised, then updated.
     For `forcing` see `minimise`.
     """
     if level.constants.laws and not np.isfinite(level.energy(start, stage).potential):
-        # The law knows no inverted element; a neo-Hookean body finds a start without any.
+        # The law is undefined for inverted elements; a neo-Hookean body finds a start without any.
         neo_hookean = replace(without_laws(level.problem), restarts=False)
         relaxed = Level.build(level.model, neo_hookean)
         relaxed = relaxed if level.barrier is None else relaxed.with_barrier()
@@ -63,7 +63,7 @@ def _solve_together(
 ) -> Result:
     """Solve for displacements and friction at once.
 
-    The coarsest mesh, whose start is far off, first finds its place under the friction of then.
+    The coarsest mesh, whose start is far off, is first solved with the initial friction held.
     """
     limit = min(MAX_ITERATIONS, max_iterations or MAX_ITERATIONS)
     if level.model.transfer is not None:
@@ -85,9 +85,9 @@ def _solve_by_updates(
     max_iterations: int | None,
     forcing: float,
 ) -> Result:
-    """Hold friction and follower pressure while the energy is minimised, then update them.
+    """Alternate between minimising the energy and updating friction and follower pressure.
 
-    Until an update moves no node by more than `tolerance_mm`.
+    Ends when an update moves no node by more than `tolerance_mm`.
     """
     near = max(FIRST_TOLERANCE_MM, tolerance_mm)
     result = minimise(level, start, stage, factory, near, max_iterations, forcing)
@@ -117,10 +117,10 @@ def solve_balanced(
     max_iterations: int | None = None,
     forcing: float = LOOSEST,
 ) -> Result:
-    """Find the equilibrium near `start` on the finest mesh, its forces balanced.
+    """Find the equilibrium near `start` on the finest mesh, with balanced forces.
 
-    `solve_level` ends where steps are short. From a good start they are so at once in a slender
-    or stiff body, whose forces need not be balanced then: it is solved on, more exactly.
+    `solve_level` ends when steps are short. In a slender or stiff body with a good start they are
+    short at once, although forces need not be balanced; it is then solved more accurately.
     """
     result = solve_level(level, start, stage, factory, tolerance_mm, max_iterations, forcing)
     for _ in range(MAX_TIGHTENINGS):
@@ -135,6 +135,6 @@ def solve_balanced(
 
 
 def _fault(level: Level, state: State, stage: Stage) -> str:
-    """Return why the forces on a level are not balanced; empty where they are."""
+    """Return the reason why the forces on a level are not balanced; empty if they are."""
     at = level.energy(state, stage)
     return equilibrium_fault(level, state, at, stage, level.force(state, at, stage))

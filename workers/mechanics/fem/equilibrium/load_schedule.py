@@ -1,4 +1,4 @@
-"""The stages in which a load is applied, and where force-controlled plates start."""
+"""Stages of a load, and starting positions of force-controlled plates."""
 
 from collections.abc import Iterator, Sequence
 
@@ -14,18 +14,18 @@ from palpate.workers.mechanics.fem.linear.level import Level
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.loads import Device, DistanceControl, ForceControl, Load
 
-# The plates begin a little inside the body: without contact nothing resists.
+# The plates begin slightly inside the body: without contact there is no resistance.
 OVERLAP_MM = 0.5
 # A prolonged state may only just miss the plate.
 PROLONGED_OVERLAP_MM = 0.02
-# Less than this is no contact: rounding.
+# Less than this is rounding, not contact.
 TOUCH_MM = 1e-6
-# Newton steps of a travel alone; between flat plates three are enough.
+# Newton steps on the travel alone; between flat plates three are enough.
 TRAVEL_STEPS = 6
 
 
 def load_stages(model: Model, problem: Problem) -> list[Stage]:
-    """Return the moments at which every mesh is in equilibrium: one, or several with friction.
+    """Return the stages at which every mesh is in equilibrium: one, or several with friction.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def load_stages(model: Model, problem: Problem) -> list[Stage]:
 
 
 def load_schedules(model: Model, problem: Problem) -> Iterator[list[Stage]]:
-    """Yield ways to the full load, in more and more stages."""
+    """Yield schedules to the full load, with more and more stages."""
     load = problem.load
     yield load_stages(model, problem)
     first = 2 * problem.friction_steps if load.device.friction else 3
@@ -49,13 +49,13 @@ def load_schedules(model: Model, problem: Problem) -> Iterator[list[Stage]]:
 
 
 def friction_fractions(problem: Problem) -> list[float]:
-    """Return the fractions of the load at the ends of the steps of friction."""
+    """Return the fractions of the load at the ends of the friction steps."""
     return load_fractions(problem.load, problem.friction_steps)
 
 
 def load_fractions(load: Load, steps: int) -> list[float]:
-    """Return the fractions of the load at the ends of so many steps."""
-    # Soft bodies yield like the root of the force: these steps are about equally long.
+    """Return the fractions of the load at the ends of `steps` steps."""
+    # Displacements of soft bodies grow like the root of the force: these steps are about equal.
     power = 2 if isinstance(load, ForceControl) else 1
     return [float(f) for f in (np.arange(1, steps + 1) / steps) ** power]
 
@@ -73,19 +73,19 @@ def stage_at(model: Model, load: Load, fraction: float) -> Stage:
 
 
 def touching_gap(nodes: FloatArray, device: Device) -> Gap:
-    """Return where flat plates would just touch the undeformed `nodes`, shape (n, 3)."""
+    """Return the gap of flat plates that just touch the undeformed `nodes`, shape (n, 3)."""
     axis = np.asarray(device.axis) / np.linalg.norm(device.axis)
     along = nodes @ axis
     return Gap(float(along.min()), float(along.max()))
 
 
 def coarsest_increments(load: Load) -> Sequence[int]:
-    """Return the numbers of steps in which the coarsest mesh is tried, until one succeeds."""
+    """Return the numbers of steps to try on the coarsest mesh, in order."""
     return (8, 24) if isinstance(load, DistanceControl) else (1, 4, 12)
 
 
 def bring_into_contact(level: Level, state: State, stage: Stage) -> State:
-    """Let force-controlled plates begin where they touch the body."""
+    """Start force-controlled plates where they touch the body."""
     x = _set_down(level, state.x, stage)
     if stage.force_n is None:
         return state.moved_to(x, state.travel_mm)
@@ -95,9 +95,9 @@ def bring_into_contact(level: Level, state: State, stage: Stage) -> State:
 
 
 def better_start(level: Level, state: State, stage: Stage, expected_mm: FloatArray) -> State:
-    """Return a state whose nodes are moved on as expected, (n, 3), or as it is: the lower energy.
+    """Move the nodes of a state by `expected_mm`, (n, 3), if that lowers the energy.
 
-    Plates follow until they carry their force.
+    The plates follow until they carry their force.
     """
     x = level.with_prescribed(state.x + expected_mm, stage.fraction)
     there = bring_into_contact(level, state.moved_to(x, state.travel_mm), stage)
@@ -107,7 +107,7 @@ def better_start(level: Level, state: State, stage: Stage, expected_mm: FloatArr
 
 
 def _carried(level: Level, state: State, stage: Stage) -> State:
-    """Move force-controlled plates to where they carry their force, the body held as it is."""
+    """Move force-controlled plates until they carry their force, with the body held fixed."""
     if stage.force_n is None:
         return state
     for _ in range(TRAVEL_STEPS):
@@ -122,9 +122,9 @@ def _carried(level: Level, state: State, stage: Stage) -> State:
 
 
 def _set_down(level: Level, x: FloatArray, stage: Stage) -> FloatArray:
-    """Lay a body that nothing holds along the axis on the plate that stands still.
+    """Place a body without support along the axis on the plate that does not move.
 
-    Pushed from the other side it would fly, and its tangent be singular.
+    Pushed from the other side it would move freely, and its tangent would be singular.
     """
     for plate in stage.plates(0.0):
         lowest = float(plate_contact(level.model.contact_nodes, x, plate).gap.min())
@@ -134,7 +134,7 @@ def _set_down(level: Level, x: FloatArray, stage: Stage) -> FloatArray:
 
 
 def _floats(level: Level, plate: PlateSurface) -> bool:
-    """Return whether neither the wall nor a prescribed place keeps the body from this plate."""
+    """Test whether neither the wall nor a hold keeps the body from moving towards this plate."""
     across = np.abs(plate.normal) > 1e-6
     sprung = np.greater(level.problem.wall.spring_mpa_per_mm, 0)[across].any()
     if len(level.model.wall) and sprung:
@@ -145,7 +145,7 @@ def _floats(level: Level, plate: PlateSurface) -> bool:
 def _first_touch_mm(level: Level, x: FloatArray, stage: Stage) -> float:
     """Return the travel at which every moving plate has reached the body."""
     travel = 0.0
-    for _ in range(3):  # flat plates are there after the first round
+    for _ in range(3):  # flat plates need only one round
         moving = [p for p in stage.plates(travel) if p.velocity.any()]
         travel += max(
             float(plate_contact(level.model.contact_nodes, x, p).gap.min())

@@ -1,4 +1,4 @@
-"""Load stepping: all meshes of a body, from coarse to fine, through the stages of its load."""
+"""Load stepping of all meshes of a body, from coarse to fine."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,20 +28,20 @@ from palpate.workers.mechanics.fem.linear.level import Level
 from palpate.workers.mechanics.fem.linear.multigrid import LinearSolver, solver_factory
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 
-# Coarse levels only supply a start: their own error is far larger than this.
+# Coarse levels only supply a start: their discretisation error is far larger than this.
 COARSE_TOLERANCE_MM = 0.05
-# Newton iterations from a neighbour's state; what needs more is solved from rest. Points let go
-# of the edge of a plate one by one: up to 27 where nothing else needs more than 12; and from rest
-# such a load may need many stages.
+# Newton iterations from a neighbour's state; if more are needed, the body is solved from rest.
+# Points lose contact with the edge of a plate one by one, which takes up to 27 iterations; no
+# other case needs more than 12. From rest such a load may need many stages.
 MAX_ITERATIONS_FROM_NEIGHBOUR = 40
 
 
 @dataclass(frozen=True, eq=False)
 class ConvergedStage:
-    """The end of one stage: a state and a linear solver for each level, coarse to fine.
+    """End of one stage: a state and a linear solver for each level, coarse to fine.
 
-    `expected_mm`, shape (n, 3), is how far the finest nodes are expected to move from there when
-    a problem nearby is solved.
+    `expected_mm`, shape (n, 3), is the expected displacement of the finest nodes from there when
+    a similar problem is solved.
     """
 
     states: tuple[State, ...]
@@ -51,20 +51,20 @@ class ConvergedStage:
 
 @dataclass(frozen=True, eq=False)
 class LoadPath:
-    """Where a way through the stages of a load ended.
+    """End of a path through the stages of a load.
 
     Parameters
     ----------
     stage : Stage
-        The last one that was tried.
+        The last stage attempted.
     states : tuple of State
-        Of each level, coarse to fine; where the last stage did not converge, the state
-        that it reached, prolonged to the finer levels.
+        State of each level, coarse to fine; if the last stage did not converge, the state
+        reached, prolonged to the finer levels.
     results : tuple of Result
-        Of each level that was solved in the last stage.
+        Result of each level solved in the last stage.
     converged : tuple of ConvergedStage
     levels : tuple of Level
-        With a barrier where the body would collapse without one.
+        With a barrier if the body would collapse without one.
     """
 
     stage: Stage
@@ -75,12 +75,12 @@ class LoadPath:
 
     @property
     def reason(self) -> str:
-        """Why the last stage did not converge; empty when it did."""
+        """Reason why the last stage did not converge; empty if it did."""
         return self.results[-1].reason
 
     @property
     def collapsed(self) -> bool:
-        """Whether it ended without a barrier where elements collapse, or are turned inside out."""
+        """Whether it ended, without a barrier, with collapsed or inverted elements."""
         last = self.results[-1]
         reached = next(k for k, state in enumerate(self.states) if state is last.state)
         level = self.levels[reached]
@@ -92,16 +92,16 @@ class LoadPath:
 
 @dataclass(frozen=True, eq=False)
 class LoadStepping:
-    """The levels of a body under one problem, coarse to fine, ready to be loaded."""
+    """Levels of a body under one problem, coarse to fine, ready to be loaded."""
 
     model: Model
     problem: Problem
     levels: tuple[Level, ...]
 
     def run(self, neighbour: Sequence[ConvergedStage] | None = None) -> LoadPath:
-        """Load the body, from a neighbour's stages where they lead to the end.
+        """Load the body, from a neighbour's stages if they lead to the full load.
 
-        See `Problem.restarts`. A body that collapses is solved with a barrier against it.
+        See `Problem.restarts`. A body that collapses is solved with a barrier.
         """
         path = self._run(neighbour)
         if not (path.collapsed and self.problem.restarts):
@@ -111,7 +111,7 @@ class LoadStepping:
         return guarded.from_rest([History() for _ in self.levels]) if resumed.reason else resumed
 
     def _run(self, neighbour: Sequence[ConvergedStage] | None) -> LoadPath:
-        """Load the body with levels as they are."""
+        """Load the body with the present levels."""
         histories = tuple(History() for _ in self.levels)
         if neighbour is not None:
             path = self.continue_from(neighbour)
@@ -122,9 +122,9 @@ class LoadStepping:
         return self.from_rest(histories)
 
     def from_rest(self, histories: Sequence[History]) -> LoadPath:
-        """Go through all stages; in more of them, until one way succeeds.
+        """Run all stages, with finer and finer schedules until one succeeds.
 
-        What an attempt leaves in the histories, except friction, is where the next begins.
+        Except for friction, each attempt starts with the histories of the previous one.
         """
         path: LoadPath | None = None
         for stages in load_schedules(self.model, self.problem):
@@ -139,13 +139,13 @@ class LoadStepping:
         return path
 
     def with_barrier(self) -> "LoadStepping":
-        """Return the same levels with a barrier against the collapse of their elements."""
+        """Return the same levels with a barrier against the collapse of elements."""
         return replace(self, levels=tuple(level.with_barrier() for level in self.levels))
 
     def resume(self, path: LoadPath) -> LoadPath:
-        """Go on with a path at the level where it failed, from the state that it reached there.
+        """Continue a path at the level where it failed, from the state reached there.
 
-        A load with several stages, or whose coarsest level failed, begins again.
+        A load with several stages, or whose coarsest level failed, is restarted.
         """
         in_one_stage = path.stage.fraction == 1 and len(path.converged) <= 1
         if not in_one_stage or len(path.results) == 1:
@@ -157,9 +157,9 @@ class LoadStepping:
         return LoadPath(path.stage, states, results, converged, self.levels)
 
     def _is_exhausted_with_barrier(self, path: LoadPath) -> bool:
-        """Return whether the full load has taken all iterations of the finest mesh.
+        """Test whether the full load has used up the iterations of the finest mesh.
 
-        Without friction to follow, more stages then hardly help, and cost as much again.
+        Without friction, more stages then hardly help, and cost as much again.
         """
         at_end = len(path.results) == len(self.levels) and path.stage.fraction == 1
         spent = path.results[-1].iterations >= MAX_ITERATIONS_WITH_BARRIER
@@ -167,12 +167,12 @@ class LoadStepping:
         return guarded and at_end and spent and not self.problem.load.device.friction
 
     def continue_from(self, neighbour: Sequence[ConvergedStage]) -> LoadPath | None:
-        """Go through a neighbour's stages on the finest mesh alone, from its own states.
+        """Run a neighbour's stages on the finest mesh only, starting from the neighbour's states.
 
         Returns
         -------
         LoadPath or None
-            None if this load has no schedule of so many stages.
+            None if this load has no schedule with that number of stages.
         """
         schedules = load_schedules(self.model, self.problem)
         stages = next((s for s in schedules if len(s) == len(neighbour)), None)
@@ -200,14 +200,14 @@ class LoadStepping:
         return LoadPath(stage, states, (result,), tuple(converged), self.levels)
 
     def _at_rest(self, histories: Sequence[History]) -> tuple[State, ...]:
-        """Return the undeformed states of all levels, without friction."""
+        """Return undeformed states of all levels, without friction."""
         return tuple(
             State(level.model.nodes.copy(), 0.0, replace(history, friction=()))
             for level, history in zip(self.levels, histories, strict=True)
         )
 
     def _follow(self, stages: Sequence[Stage], states: tuple[State, ...]) -> LoadPath:
-        """Go through `stages`, each from coarse to fine, until one fails."""
+        """Run `stages`, each from coarse to fine, until one fails."""
         converged: list[ConvergedStage] = []
         for number, stage in enumerate(stages):
             states, results = self._solve_stage(stage, states, first=number == 0)
@@ -227,7 +227,7 @@ class LoadStepping:
     ) -> tuple[tuple[State, ...], tuple[Result, ...]]:
         """Solve one stage on each level, from coarse to fine, until one fails.
 
-        Where results of some levels are `done`, it begins where the last of them ended.
+        If results of some levels are `done`, it starts where the last of them ended.
         """
         results = list(done[:-1])
         states = [result.state for result in results]
@@ -266,9 +266,9 @@ class LoadStepping:
         *,
         first: bool,
     ) -> State:
-        """Return the start of level `k`, which has `begun` the stage.
+        """Return the initial state of level `k`, which has `begun` the stage.
 
-        The coarser solution, or what it gained since the stage `before` on top of that.
+        This is the coarser solution, or its change since the stage `before` added to that stage.
         """
         level = self.levels[k]
         if k == 0:
@@ -286,14 +286,14 @@ class LoadStepping:
         return bring_into_contact(level, begun.moved_to(x, travel), stage)
 
     def _prolonged(self, k: int, u: FloatArray) -> FloatArray:
-        """Interpolate a displacement of level `k` - 1, (n, 3), on level `k`."""
+        """Interpolate a displacement of level `k` - 1, (n, 3), to level `k`."""
         transfer = self.levels[k].model.transfer
         if transfer is None:
             raise AssertionError("only the coarsest level has no transfer")
         return np.asarray(transfer.exact @ u)
 
     def _coarsest_from_rest(self, begun: State, goal: Stage, tolerance_mm: float) -> Result:
-        """Load the coarsest level in more and more increments, until one way succeeds."""
+        """Load the coarsest level in more and more increments, until one attempt succeeds."""
         level, history = self.levels[0], begun.history
         for count in coarsest_increments(self.problem.load):
             state = State(level.model.nodes.copy(), 0.0, history)
@@ -314,7 +314,7 @@ class LoadStepping:
     def _prolonged_to_finest(
         self, states: Sequence[State], before: Sequence[State], stage: Stage
     ) -> tuple[State, ...]:
-        """Prolong the last state, which did not converge, to all finer levels."""
+        """Prolong the last, unconverged state to all finer levels."""
         prolonged = list(states)
         for k in range(len(states), len(self.levels)):
             level, coarse = self.levels[k], prolonged[-1]

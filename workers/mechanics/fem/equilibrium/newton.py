@@ -20,41 +20,41 @@ from palpate.workers.mechanics.fem.linear.multigrid import (
 )
 
 MAX_ITERATIONS = 60
-# With a barrier against collapse. After the usual ones the length of a step is chosen with more
-# care, and a tangent that is not positive is made so.
+# Iterations with a barrier against collapse. After the usual number, step lengths are chosen
+# more carefully, and a tangent that is not positive is made so.
 MAX_ITERATIONS_WITH_BARRIER, USUAL_ITERATIONS = 160, 25
-# A body collapses where an element has lost half of its volume and the residual has not fallen for
-# so many iterations, none of which took more than this part off the energy: far from equilibrium
-# residuals rise in ordinary solves too.
+# A body collapses if an element has lost half of its volume and the residual has not fallen for
+# so many iterations, none of which lowered the energy by more than this fraction: far from
+# equilibrium residuals rise in ordinary solves too.
 STALLED_ITERATIONS, SMALL_FALL = 8, 1e-3
 MAX_HALVINGS = 14
-# Longest step of a node in one iteration; farther, the quadratic model says nothing.
+# Longest step of a node in one iteration; beyond it the quadratic model is invalid.
 LONGEST_STEP_MM = 20.0
 # Conjugate gradients: loose first, tighter as the residual falls (Eisenstat-Walker).
 LOOSEST, TIGHTEST = 3e-2, 1e-3
-# How far a step goes along a direction of negative curvature: at first, and at least.
+# Length of a step along a direction of negative curvature: the first one, and the shortest.
 FIRST_REACH_MM, SHORTEST_REACH_MM = 1.0, 0.05
-# With an exact tangent a step gains half of its slope. One that gains more than the second of
-# these parts is doubled: out of a saddle; less than the first, halved: before fibres go taut.
+# With an exact tangent a step gains half of its slope. A step that gains more than the second of
+# these fractions is doubled (out of a saddle), less than the first halved (before fibres go taut).
 ORDINARY_GAIN = 0.3, 0.8
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Where Newton's method ended.
+    """End of Newton's method.
 
     Parameters
     ----------
     state : State
     reason : str
-        Why it did not converge; empty when it did.
+        Reason why it did not converge; empty if it did.
     iterations, cg_iterations : int
     residual_n : float
         Norm of the last out-of-balance force.
     linear : LinearSolver or None
         With the last tangent.
     collapses : bool
-        Ended early because elements collapse; the state is then that with the smallest residual.
+        Ended early because elements collapse; `state` then has the smallest residual.
     """
 
     state: State
@@ -68,9 +68,9 @@ class Result:
 
 @dataclass(frozen=True, eq=False)
 class _LeastResidual:
-    """The state with the smallest residual so far, and how many iterations ago it was left.
+    """State with the smallest residual so far, and the number of iterations since then.
 
-    It counts from where the potential, now `last_potential`, has last fallen by much.
+    The count restarts whenever the potential, now `last_potential`, falls substantially.
     """
 
     residual_n: float
@@ -79,7 +79,7 @@ class _LeastResidual:
     last_potential: float
 
     def followed_by(self, residual_n: float, state: State, potential: float) -> "_LeastResidual":
-        """Return it after one more iteration, at a state with this residual and potential."""
+        """Return the record after another iteration, at a state with this residual."""
         fell = self.last_potential - potential > SMALL_FALL * abs(potential)
         if fell or residual_n < self.residual_n:
             return _LeastResidual(residual_n, state, 0, potential)
@@ -88,7 +88,7 @@ class _LeastResidual:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    """A Newton direction, its slope and its longest nodal displacement."""
+    """Newton direction, its slope and its largest nodal displacement."""
 
     u: FloatArray
     travel: float
@@ -110,11 +110,11 @@ def minimise(
 ) -> Result:
     """Find the equilibrium nearest to `start`.
 
-    Without `max_iterations` their limit is that of a level with or without a barrier.
     Friction and follower pressure are held. Converged when a full step moves no node by
-    more than `tolerance_mm`. The first step is solved to a relative residual of `forcing`:
-    `TIGHTEST` from a start that may be so near that this step is the last. A body that collapses,
-    and may be solved again with a barrier, is left where its forces were balanced best.
+    more than `tolerance_mm`. The default of `max_iterations` depends on the barrier. The first
+    step is solved to a relative residual of `forcing`: `TIGHTEST` for a start so near that this
+    step may be the last. If a body collapses and may be solved again with a barrier, the result
+    is the state with the smallest residual.
     """
     if max_iterations is None:
         guarded = level.barrier is not None
@@ -124,7 +124,7 @@ def minimise(
     cg_total, residual, last_residual = 0, np.inf, np.inf
     least = _LeastResidual(np.inf, start, 0, np.inf)
     linear: LinearSolver | None = None
-    # `convex`: no descent otherwise, for good; `cautious`: for this step.
+    # `convex` stays set: no descent otherwise; `cautious` holds for this step only.
     convex = cautious = False
     reach = FIRST_REACH_MM
     for iteration in range(1, max_iterations + 1):
@@ -152,7 +152,7 @@ def minimise(
             step = _along_curvature(step, tangent, force, plate, reach)
         elif step.negative and not held:
             indefinite = True
-            # Far from equilibrium the pressure may turn the tangent indefinite: leave it out.
+            # Far from equilibrium pressure may make the tangent indefinite: leave it out.
             _, tangent = level.linearise(state, energy, stage, convex=True, positive=late)
             linear = factory(level, tangent, state.history.eigenvector)
             state = state.with_eigenvector(linear.eigenvector)
@@ -178,9 +178,9 @@ def minimise(
 
 
 def _collapses(level: Level, state: State) -> bool:
-    """Return whether a barrier would act at this state, and may be tried.
+    """Test whether a barrier would act at this state, and may be tried.
 
-    The coarsest level, whose failures are cheap, tries smaller increments first.
+    The coarsest level, where failures are cheap, tries smaller increments first.
     """
     if level.barrier is not None or level.model.transfer is None or not level.problem.restarts:
         return False
@@ -208,7 +208,7 @@ def plate_residual(energy: Energy, stage: Stage) -> float:
 def _direction(
     force: FloatArray, plate: float, tangent: Tangent, linear: LinearSolver, forcing: float
 ) -> _Step:
-    """Return the Newton direction, turned downhill if need be."""
+    """Return the Newton direction, reversed if it points uphill."""
     correction, travel = solve_bordered(linear, tangent, -force, -plate, forcing)
     u = correction.u
     slope = float(np.vdot(force, u)) + plate * travel
@@ -223,10 +223,10 @@ def _direction(
 def _along_curvature(
     step: _Step, tangent: Tangent, force: FloatArray, plate: float, reach_mm: float
 ) -> _Step:
-    """Return a step that goes on along a direction of negative curvature, as far as `reach_mm`.
+    """Extend a step along a direction of negative curvature, up to `reach_mm`.
 
     T. Steihaug, SIAM J. Numer. Anal. 20 (1983) 626: where the energy is not convex, conjugate
-    gradients end on the border of the region of trust.
+    gradients end at the boundary of the trust region.
     """
     p = step.curved
     if p is None:
@@ -243,13 +243,13 @@ def _along_curvature(
 def _line_search(
     level: Level, state: State, energy: Energy, stage: Stage, step: _Step, *, refine: bool
 ) -> tuple[State, Energy, float]:
-    """Backtrack until the potential falls; length 0 means that it never did.
+    """Backtrack until the potential falls; a length of 0 means failure.
 
-    With `refine` a length that gained unusually much or little is doubled or halved as long as
-    the potential falls further.
+    With `refine`, a length with an unusually large or small gain is doubled or halved as long
+    as the potential falls further.
     """
     length = min(1.0, LONGEST_STEP_MM / step.longest) if step.longest > 0 else 1.0
-    # Near the minimum the fall drowns in rounding; a Newton step is then taken on trust.
+    # Near the minimum the decrease is below rounding; a Newton step is then accepted unchecked.
     noise = 1e-11 * (abs(energy.elastic) + abs(energy.potential - energy.elastic))
     noise += level.rounding_mj
     for _ in range(MAX_HALVINGS):
@@ -275,6 +275,6 @@ def _line_search(
 def _moved(
     level: Level, state: State, stage: Stage, step: _Step, length: float
 ) -> tuple[State, Energy]:
-    """Return a state after so much of a step, and its energy."""
+    """Return the state after a step of relative `length`, and its energy."""
     there = state.moved_to(state.x + length * step.u, state.travel_mm + length * step.travel)
     return there, level.energy(there, stage)

@@ -1,13 +1,12 @@
-r"""How an equilibrium moves when the problem changes: one linear solve each.
+r"""Derivatives of an equilibrium by changes of the problem: one linear solve each.
 
 With the out-of-balance force R(x, phi) = 0 at an equilibrium,
 
 .. math:: K \, dx/d\phi = - \partial R / \partial \phi .
 
-The right side is a difference of two forces at the same place, which costs no
-solve. Where friction or follower pressure act, their derivative by x, which is not
-symmetric, is added; see `coupled_tangent`. With friction the slip of
-earlier steps of the load is held.
+The right side is a difference of two forces at the same positions, which costs no
+solve. Where friction or follower pressure act, their non-symmetric derivative by x is
+added; see `coupled_tangent`. With friction, the slip of earlier load steps is held.
 """
 
 from collections.abc import Sequence
@@ -42,7 +41,7 @@ from palpate.workers.mechanics.fem.linear.level import Level, Tangent
 from palpate.workers.mechanics.fem.linear.multigrid import linear_solver, solver_factory
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 
-# Of the linear solves.
+# Relative error of the linear solves.
 RELATIVE_ERROR = 1e-5
 
 
@@ -62,7 +61,7 @@ def tangents(
     Returns
     -------
     ndarray, shape (k, n, 3)
-        Of the finest nodes, in mm per unit of the parameter.
+        Derivative of the finest nodes' displacement, in mm per unit of the parameter.
 
     Raises
     ------
@@ -78,7 +77,7 @@ def tangents(
 def tangents_with_reactions(
     at: Equilibrium, changes: Sequence[Change], tolerance: float = RELATIVE_ERROR
 ) -> tuple[FloatArray, FloatArray]:
-    """Return also how the forces change that hold the held nodes.
+    """Return the derivatives of the displacement and of the reactions by each change.
 
     Parameters
     ----------
@@ -88,7 +87,7 @@ def tangents_with_reactions(
     Returns
     -------
     moved : ndarray, shape (k, n, 3)
-        As `tangents` has it.
+        As returned by `tangents`.
     reactions : ndarray, shape (k, n, 3)
         In N per unit of the parameter, zero where a node is free; see `reactions`.
 
@@ -106,7 +105,7 @@ def tangents_with_reactions(
 
 
 def reactions(at: Equilibrium) -> FloatArray:
-    """Return the forces on the body that hold its held nodes, shape (n, 3), in N."""
+    """Return the reactions at the held nodes, shape (n, 3), in N."""
     level, state = at.levels[-1], at.states[-1]
     force = level.force(state, level.energy(state, at.stage), at.stage)
     return np.where(level.free > 0, 0.0, force)
@@ -123,7 +122,7 @@ def _refuse_unconverged(at: Equilibrium) -> None:
 def _solved(
     here: "_Linearisation", changes: Sequence[Change], tolerance: float
 ) -> tuple[list["_RightSide"], FloatArray]:
-    """Return what each change leaves out of balance, and how the nodes follow, (k, n, 3)."""
+    """Return the right side of each change, and the nodes' response, (k, n, 3)."""
     right, at = [here.right_side(change) for change in changes], here.at
     if at.levels[-1].is_conservative(at.states[-1]):
         solutions = list(here.solve_symmetric(right, tolerance))
@@ -141,13 +140,13 @@ class _RightSide:
     Parameters
     ----------
     force : ndarray, shape (n, 3)
-        On the nodes, in N per unit of the parameter.
+        Force on the nodes, in N per unit of the parameter.
     plate : float
-        On the plates.
+        Force on the plates.
     prescribed : ndarray, shape (n, 3)
-        How held places move, in mm per unit of the parameter.
+        Motion of held nodes, in mm per unit of the parameter.
     unbalanced : ndarray, shape (n, 3)
-        What the change adds to the forces on nodes that stay where they are, held ones too.
+        Change of the forces at fixed positions, on all nodes including held ones.
     """
 
     force: FloatArray
@@ -157,7 +156,7 @@ class _RightSide:
 
 
 class _Linearisation:
-    """The finest level at its equilibrium, and what changes of the problem do there."""
+    """Linearisation of the finest level about its equilibrium."""
 
     def __init__(self, at: Equilibrium) -> None:
         self.at = at
@@ -170,7 +169,7 @@ class _Linearisation:
         self._inner: FloatArray | None = None
 
     def right_side(self, change: Change) -> _RightSide:
-        """Return what a unit of the parameter leaves out of balance, with its sign turned."""
+        """Return the negative out-of-balance force per unit of the parameter."""
         ahead, behind = (self._forces(p) for p in (change.plus, change.minus))
         unbalanced = (ahead[0] - behind[0]) / change.step
         b = -unbalanced * self.level.free
@@ -181,12 +180,12 @@ class _Linearisation:
         return _RightSide(b, plate, prescribed, unbalanced)
 
     def reactions(self, right: _RightSide, moved: FloatArray) -> FloatArray:
-        """Return how the forces on held nodes change as all nodes move so, shape (n, 3)."""
+        """Return the change of the reactions when the nodes move by `moved`, shape (n, 3)."""
         change = right.unbalanced + self._stiffness_times(moved)
         return np.where(self.level.free > 0, 0.0, change)
 
     def _forces(self, problem: Problem) -> tuple[FloatArray, float]:
-        """Return the out-of-balance force of nodes and plates under another problem."""
+        """Return the out-of-balance forces on nodes and plates under another problem."""
         if problem is self.at.problem:
             return self._own_forces
         model = self._model_of(problem)
@@ -201,7 +200,7 @@ class _Linearisation:
     def _forces_of(self, level: Level, state: State, stage: Stage) -> tuple[FloatArray, float]:
         if self._is_touched_alike(level, state, stage):
             energy = self.energy
-        elif level.model is self.level.model:  # the same place: its volumes are known
+        elif level.model is self.level.model:  # same positions: their volumes are known
             contacts, contact = level.contact(state, stage)
             energy = replace(self.energy, plate_contacts=contacts, contact=contact)
         else:
@@ -216,12 +215,12 @@ class _Linearisation:
         return level.force(state, energy, stage), plate
 
     def _is_touched_alike(self, level: Level, state: State, stage: Stage) -> bool:
-        """Return whether volumes and plates are those of here, as of a change inside the body."""
+        """Test whether volumes and plates are unchanged, as for a change inside the body."""
         friction = state.history.friction or self.state.history.friction
         return level.model is self.level.model and stage == self.stage and not friction
 
     def _inner_force(self) -> FloatArray:
-        """Return the force of body and skin as they are, shape (n, 3)."""
+        """Return the present force of body and skin, shape (n, 3)."""
         if self._inner is None:
             whole = self.level.force(self.state, self.energy, self.stage)
             outer = self.level.outer_force(self.state, self.energy.contact, self.stage)
@@ -229,9 +228,9 @@ class _Linearisation:
         return self._inner
 
     def _model_of(self, problem: Problem) -> Model:
-        """Return the stress-free model of another problem: it also hangs on the constants.
+        """Return the stress-free model of another problem, which depends on the constants too.
 
-        Where that has none, a hair beyond a body that hardly carries its weight, it is this one.
+        If that problem has none, because the body can just carry its weight here, it is this one.
         """
         if not any(problem.imaged_gravity_g):
             return self.at.imaged
@@ -243,9 +242,9 @@ class _Linearisation:
             return self.at.model
 
     def _state_under(self, level: Level, stage: Stage) -> State:
-        """Return the present positions with the history that another problem would have.
+        """Return the present positions with the history of another problem.
 
-        Friction is as it is, or as it would begin at the end of a path without any.
+        Friction is unchanged, or starts from the end of a frictionless path.
         """
         coefficient = stage.device.friction
         friction: tuple[PlateFriction, ...] = ()
@@ -256,7 +255,7 @@ class _Linearisation:
         return level.update_history(state, stage)
 
     def _friction_of_path(self, level: Level) -> tuple[PlateFriction, ...]:
-        """Let the slip origins follow the path without friction."""
+        """Return friction whose slip origins follow the frictionless path."""
         stages = [replace(s, device=replace(s.device, friction=1.0)) for s in self._stages()]
         state = level.begin_step(State(level.model.nodes.copy(), 0.0), stages[0])
         ends = self._frictionless_path()
@@ -266,13 +265,13 @@ class _Linearisation:
         return state.history.friction
 
     def _stages(self) -> list[Stage]:
-        """Return the steps in which friction would be applied."""
+        """Return the load steps in which friction would be applied."""
         problem = self.at.problem
         fractions = friction_fractions(problem)
         return [stage_at(self.at.model, problem.load, f) for f in fractions]
 
     def _frictionless_path(self) -> list[State]:
-        """Return where those steps end without friction, the last one left out."""
+        """Return the states at the ends of those steps without friction, except the last."""
         if self._frictionless is None:
             state, path = self.state.with_eigenvector(self.linear.eigenvector), []
             for stage in reversed(self._stages()[:-1]):
@@ -290,7 +289,7 @@ class _Linearisation:
         return self._frictionless
 
     def _prescribed(self, change: Change) -> FloatArray:
-        """Return how the change moves held places: (n, 3) in mm per unit.
+        """Return the motion of held nodes due to the change: (n, 3) in mm per unit.
 
         A wall that begins to yield under its reaction r moves by r / (area x spring).
         """
@@ -310,9 +309,9 @@ class _Linearisation:
         return np.where(level.free > 0, 0.0, prescribed)
 
     def _stiffness_times(self, u: FloatArray) -> FloatArray:
-        """Return the force on the nodes of a displacement `u`, that of held places included.
+        """Return the nodal forces due to a displacement `u`, including held nodes.
 
-        The plates feel nothing of it: held nodes take no part in their coupling.
+        The plates are not affected: held nodes take no part in their coupling.
         """
         t = self._whole_tangent
         g = self.level.model.graph
@@ -325,7 +324,7 @@ class _Linearisation:
 
     @cached_property
     def _whole_tangent(self) -> Tangent:
-        """The tangent with the rows and columns of held nodes."""
+        """Tangent with the rows and columns of held nodes."""
         _, found = self.level.linearise(self.state, self.energy, self.stage, everywhere=True)
         return found
 
@@ -339,7 +338,7 @@ class _Linearisation:
         return self.linear.solve_many(b, tolerance).u
 
     def solve_nonsymmetric(self, right: _RightSide, tolerance: float) -> FloatArray:
-        """Solve with what has no energy, shape (n, 3)."""
+        """Solve with the complete, non-symmetric tangent, shape (n, 3)."""
         found, _ = self._coupled.solve(right.force, right.plate, tolerance)
         if found.error > tolerance:
             raise ArithmeticError("the tangent with friction or pressure was not solved")

@@ -1,12 +1,12 @@
-"""From constants and loads to a displacement: nested iteration, coarse to fine.
+"""Displacements from constants and loads, by nested iteration from coarse to fine.
 
 The body is solved from rest on the coarsest mesh; each finer one starts from the
 coarser solution and takes a few Newton steps, whose linear systems the coarser
 levels precondition. Friction depends on the path: the load is then applied in
-steps, and every step ends in equilibrium on every mesh.
+steps, each of which ends in equilibrium on every mesh.
 
-A body that collapses on this way is solved on with a barrier against it, see
-`workers.mechanics.fem.elements.barrier`; every other answer is found without one.
+Only a body that collapses on the way is solved with a barrier, see
+`workers.mechanics.fem.elements.barrier`.
 """
 
 from dataclasses import dataclass, replace
@@ -28,18 +28,18 @@ from palpate.workers.mechanics.fem.problem.outcome import Solution
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """The levels of a body at the end of its loading, coarse to fine.
+    """Levels of a body at the end of its loading, coarse to fine.
 
     Parameters
     ----------
     imaged, model : Model
-        As imaged, and with the stress-free shape where that is another one.
+        With the imaged shape, and with the stress-free shape if that differs.
     problem : Problem
     stage : Stage
     levels : tuple of Level
     states : tuple of State
     path : tuple of ConvergedStage
-        The stages of the load, except one that did not converge.
+        Converged stages of the load.
     solution : Solution
     """
 
@@ -58,10 +58,10 @@ class Equilibrium:
         return self.path[-1].solvers
 
     def expecting(self, moved_mm: FloatArray) -> "Equilibrium":
-        """Return it as the start of a problem whose nodes lie about `moved_mm`, (n, 3), further.
+        """Return a start for a problem whose nodes are about `moved_mm`, (n, 3), further.
 
-        The tangents times a change of the problem, for instance. With several stages, whose ways
-        nobody knows, it is the same one.
+        `moved_mm` may be the tangents times a change of the problem. With several stages, whose
+        paths are unknown, the equilibrium is returned unchanged.
         """
         if len(self.path) != 1:
             return self
@@ -74,7 +74,7 @@ def solve(model: Model, problem: Problem) -> Solution:
     Parameters
     ----------
     model : Model
-        The prepared mesh hierarchy; its finest level carries the answer.
+        Prepared mesh hierarchy; the result is for its finest level.
     problem : Problem
         Constants, loads and boundary conditions.
 
@@ -83,7 +83,7 @@ def solve(model: Model, problem: Problem) -> Solution:
     Solution
         Displacement of the finest nodes in mm and the outcome. A simulation that
         does not converge is an outcome, not an error; its displacement is the
-        last state reached, carried to the finest mesh.
+        last state reached, prolonged to the finest mesh.
 
     Raises
     ------
@@ -94,16 +94,16 @@ def solve(model: Model, problem: Problem) -> Solution:
 
 
 def equilibrium(model: Model, problem: Problem, start: Equilibrium | None = None) -> Equilibrium:
-    """Load the body and keep levels, states and linear solvers, to go on from.
+    """Load the body and keep levels, states and linear solvers for further solves.
 
     Parameters
     ----------
     model, problem : Model and Problem
         See `solve`.
     start : Equilibrium, optional
-        Of a similar problem on the same model. Newton's method then starts from it
-        on the finest mesh, with friction along its whole path; where that fails, or
-        with pressure, the body is solved from rest.
+        Equilibrium of a similar problem on the same model. Newton's method starts from it
+        on the finest mesh, with friction along its whole path; if that fails, or with
+        pressure, the body is solved from rest.
 
     Raises
     ------

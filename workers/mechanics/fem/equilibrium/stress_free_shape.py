@@ -1,8 +1,8 @@
-"""The stress-free shape of a body whose image already carries gravity.
+"""Stress-free shape of a body imaged under gravity.
 
-The inverse fixed point (Rajagopal et al. 2007; Sellier 2011): load the present
-guess, and move it by what is missing to the image. Loads have no part in it, so the last
-shapes of a body are kept: its scans share them.
+Inverse fixed-point iteration (Rajagopal et al. 2007; Sellier 2011): load the present
+guess, and move it by the difference to the image. It does not depend on the loads, so the
+last shapes of a body are cached: its scans share them.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,28 +19,28 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.loads import NoPlates, Wall
 
 MAX_ROUNDS = 60
-# Nodes of the stress-free meshes that are kept of one body, at least one mesh: a diagnosis comes
-# back to the shapes of eight neighbouring problems with every scan.
+# Nodes of the stress-free meshes cached for one body, at least one mesh: a diagnosis reuses the
+# shapes of eight neighbouring problems for every scan.
 KEPT_NODES = 150_000
 
 
 class NoStressFreeShapeError(Exception):
-    """No stress-free shape was found: an ordinary ending of a simulation, with a reason."""
+    """No stress-free shape found: an ordinary end of a simulation, with a reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class _KnownShapes:
-    """The last stress-free shapes of one body, each with the problem whose weight it carries."""
+    """Last stress-free shapes of one body, each with the problem under whose weight it hangs."""
 
     shapes: list[tuple[Problem, Model]] = field(default_factory=list)
     lock: Lock = field(default_factory=Lock)
 
     def find(self, hanging: Problem) -> Model | None:
-        """Return the shape that carries its weight under this problem, if it is known."""
+        """Return the cached shape for this problem, if any."""
         return next((rest for known, rest in self.shapes if known == hanging), None)
 
     def add(self, hanging: Problem, rest: Model) -> None:
-        """Keep a shape, and forget the oldest where there are too many."""
+        """Cache a shape, and drop the oldest ones if there are too many."""
         self.shapes.append((hanging, rest))
         del self.shapes[: -max(1, KEPT_NODES // len(rest.finest.nodes))]
 
@@ -49,10 +49,9 @@ _known: WeakKeyDictionary[Model, _KnownShapes] = WeakKeyDictionary()
 
 
 def stress_free(model: Model, problem: Problem) -> Model:
-    """Return the model whose shape under `problem.imaged_gravity_g` is that of `model`.
+    """Return the model that has the shape of `model` under `problem.imaged_gravity_g`.
 
-    While the image was taken the chest wall held the body in every direction and
-    no plate touched it.
+    During imaging the chest wall held the body in every direction and no plate touched it.
 
     Raises
     ------
@@ -63,7 +62,7 @@ def stress_free(model: Model, problem: Problem) -> Model:
     """
     hanging = hanging_problem(problem)
     known = _known.setdefault(model, _KnownShapes())
-    with known.lock:  # a second thread waits for the shape that it would find again
+    with known.lock:  # a second thread waits for the same shape
         rest = known.find(hanging)
         if rest is None:
             rest = _found(model, hanging, 0.1 * problem.tolerance_mm)
@@ -72,7 +71,7 @@ def stress_free(model: Model, problem: Problem) -> Model:
 
 
 def hanging_problem(problem: Problem) -> Problem:
-    """Return the problem of the body while it was imaged: its weight, held at the chest wall."""
+    """Return the problem of the body during imaging: its weight, held at the chest wall."""
     return replace(
         problem,
         load=NoPlates(),
@@ -88,9 +87,9 @@ def hanging_problem(problem: Problem) -> Problem:
 
 
 def _found(model: Model, hanging: Problem, tolerance_mm: float) -> Model:
-    """Return the model that hangs as it was imaged, within a tolerance.
+    """Return the model that hangs in its imaged shape, within a tolerance.
 
-    After the first round only the finest mesh is loaded, from the image, and moved: the coarser
+    After the first round only the finest mesh is loaded, from the image, and moved; the coarser
     ones supply a start and a preconditioner.
     """
     imaged = [level.nodes for level in model]
@@ -118,6 +117,6 @@ def _found(model: Model, hanging: Problem, tolerance_mm: float) -> Model:
 
 
 def _ending_at(stage: ConvergedStage, x: FloatArray) -> ConvergedStage:
-    """Return a stage whose finest mesh ends at `x`, (n, 3): where the next one begins."""
+    """Return a stage whose finest mesh ends at `x`, (n, 3), as the start of the next one."""
     *coarser, finest = stage.states
     return replace(stage, states=(*coarser, finest.moved_to(x, finest.travel_mm)))

@@ -1,6 +1,6 @@
 """Block Jacobi: the inverse 3 x 3 diagonal blocks of a tangent.
 
-They are made from packed rows (`mechanics.fem.linear.sparse_products`). `free`, (n, 3), is 1
+They are computed from packed rows (`mechanics.fem.linear.sparse_products`). `free`, (n, 3), is 1
 where a displacement is unknown and 0 where it is held.
 """
 
@@ -20,7 +20,7 @@ def invert_diagonal(
     free: Float32Array,
     inverse: Float32Array,
 ) -> None:
-    """Set `inverse`, (n, 9), to inverse diagonal blocks made safely positive; zero where held."""
+    """Set `inverse`, (n, 9), to inverse diagonal blocks, made positive; zero where held."""
     n = start.shape[0] - 1
     m = np.empty((3, 3))
     for i in range(n):

@@ -1,8 +1,8 @@
-"""Conjugate gradients, for one right-hand side and for several solved together.
+"""Conjugate gradients for one right-hand side and for several solved together.
 
 Vectors are in double precision, (n, 4) or (n, 4, LANES); see `sparse_products`.
-The preconditioner may differ a little from one call to the next (it rounds to
-single precision), hence the Polak-Ribiere form, with ``r_new - r = -alpha A p``.
+The preconditioner may differ slightly from call to call (it rounds to single
+precision), hence the Polak-Ribiere form, with ``r_new - r = -alpha A p``.
 """
 
 from dataclasses import dataclass
@@ -17,22 +17,22 @@ from palpate.workers.mechanics.fem.linear import sparse_products
 from palpate.workers.mechanics.fem.problem.array_types import Float32Array
 
 MAX_ITERATIONS = 120
-# A block costs as much as this many right-hand sides and a little more.
+# A block costs slightly more than this many right-hand sides.
 SOLVED_ONE_BY_ONE = 2
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """A solution of the linear system.
+    """Solution of the linear system.
 
     Parameters
     ----------
     u : ndarray, shape (n, 3)
     iterations : int
     error : float
-        Relative residual or relative error, whichever the tolerance was for.
+        Relative residual or relative error, as specified by the tolerance.
     negative : bool
-        A direction of negative curvature ended the iteration.
+        Whether a direction of negative curvature ended the iteration.
     curved : ndarray, shape (n, 3), optional
         That direction, downhill.
     """
@@ -53,9 +53,9 @@ class Corrections:
     u : ndarray, shape (k, n, 3)
     iterations : ndarray of int, shape (k,)
     error : ndarray, shape (k,)
-        Relative error, estimated; larger than asked for where the iteration ended early.
+        Estimated relative error; larger than the tolerance if the iteration ended early.
     negative : bool
-        A direction of negative curvature was met: the tangent is not stable.
+        Whether a direction of negative curvature was met: the tangent is not stable.
     """
 
     u: FloatArray
@@ -65,7 +65,7 @@ class Corrections:
 
 
 class Operator(Protocol):
-    """A tangent that multiplies and preconditions vectors of either shape."""
+    """Tangent that multiplies and preconditions vectors of either shape."""
 
     def multiply(self, x: FloatArray, y: FloatArray) -> None:
         """Set y = tangent times x, and the pressure of `x`."""
@@ -115,8 +115,8 @@ def solve(
 def solve_many(operator: Operator, b: FloatArray, tolerance: float) -> Corrections:
     """Solve for each of `b`, (k, n, 3), to a relative error, `LANES` at a time.
 
-    The error is measured by what the preconditioner would still add: a residual says
-    little of the displacement where a stiff plate takes most of the force.
+    The error is estimated by the preconditioned residual: the residual itself hardly
+    reflects the displacement where a stiff plate takes most of the force.
     """
     whole = len(b) if len(b) % LANES > SOLVED_ONE_BY_ONE else len(b) - len(b) % LANES
     parts = [
@@ -143,7 +143,7 @@ def _solve_one(operator: Operator, b: FloatArray, tolerance: float) -> Correctio
 
 
 def _solve_block(operator: Operator, b: FloatArray, tolerance: float) -> Corrections:
-    """Solve for up to `LANES` right-hand sides; a lane that is done stands still."""
+    """Solve for up to `LANES` right-hand sides; a finished lane does not change."""
     k = len(b)
     r = np.zeros((b.shape[1], 4, LANES))
     r[:, :3, :k] = np.moveaxis(b, 0, -1)

@@ -1,4 +1,4 @@
-"""The tangent of a small mesh as a full matrix, to be factored."""
+"""Tangent of a small mesh as a full matrix, for factorisation."""
 
 import numpy as np
 from numba import njit
@@ -22,7 +22,7 @@ def dense_matrix(
                 for b in range(3):
                     A[3 * i + a, 3 * j + b] += rows[q, 4 * a + b]
     # B on row i, column j is dv_j/du_i, and the pattern is symmetric: the rows of
-    # node j list all i with a share in v_j, but hold dv_i/du_j. Collect the column first.
+    # node j list all i with a share in v_j, but contain dv_i/du_j. Collect the column first.
     for j in range(n):
         width = start[j + 1] - start[j]
         g = np.empty((width, 3))

@@ -1,8 +1,8 @@
 """GMRES for a tangent that is not symmetric, preconditioned from the left.
 
-The residual that is made small is the preconditioned one, which estimates the error of the
-displacement (Saad and Schultz 1986). The preconditioner rounds to single precision, so the
-residual is formed anew, in double precision, at every restart.
+It minimises the preconditioned residual, which estimates the error of the displacement (Saad
+and Schultz 1986). The preconditioner rounds to single precision, so the residual is recomputed
+in double precision at every restart.
 """
 
 from collections.abc import Callable
@@ -12,14 +12,14 @@ import numpy as np
 from palpate.storage.values import FloatArray
 from palpate.workers.mechanics.fem.linear.conjugate_gradients import Correction
 
-# Directions that are kept, and how often they are made anew.
+# Directions kept, and number of restarts.
 DIRECTIONS, RESTARTS = 30, 8
-# How far a residual falls before it is formed anew: farther, the rounding of the preconditioner
-# would be taken for it.
+# Reduction of a residual before it is recomputed; beyond it, rounding of the preconditioner
+# would dominate.
 DEEPEST = 1e-5
 
 Product = Callable[[FloatArray], FloatArray]
-"""A linear map of vectors of shape (n, 4), whose last component is zero."""
+"""Linear map of vectors of shape (n, 4), whose last component is zero."""
 
 
 def solve(multiply: Product, precondition: Product, b: FloatArray, tolerance: float) -> Correction:
@@ -28,14 +28,14 @@ def solve(multiply: Product, precondition: Product, b: FloatArray, tolerance: fl
     Parameters
     ----------
     multiply, precondition : Product
-        The tangent, and what approximates its inverse.
+        The tangent, and an approximation of its inverse.
     b : ndarray, shape (n, 3)
     tolerance : float
 
     Returns
     -------
     Correction
-        Its `error` is larger than `tolerance` if the iteration ended early; `negative` is False.
+        `error` is larger than `tolerance` if the iteration ended early; `negative` is False.
     """
     residual = np.zeros((len(b), 4))
     residual[:, :3] = b
@@ -62,10 +62,10 @@ def solve(multiply: Product, precondition: Product, b: FloatArray, tolerance: fl
 def _cycle(
     multiply: Product, precondition: Product, z: FloatArray, goal: float
 ) -> tuple[FloatArray, int, float]:
-    """Return a correction for the preconditioned residual `z`, directions used, and what is left.
+    """Return a correction for the preconditioned residual `z`, directions used, and the rest.
 
-    Arnoldi's method with Gram-Schmidt, twice; the least squares of the Hessenberg matrix are few
-    enough to be solved anew.
+    Arnoldi's method with two passes of Gram-Schmidt; the least-squares problem of the Hessenberg
+    matrix is small enough to solve afresh each time.
     """
     basis = np.empty((DIRECTIONS + 1, z.size))
     hessenberg = np.zeros((DIRECTIONS + 1, DIRECTIONS))

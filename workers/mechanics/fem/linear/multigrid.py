@@ -1,4 +1,4 @@
-"""The linear solver: conjugate gradients with one geometric-multigrid V-cycle.
+"""Linear solver: conjugate gradients preconditioned by a geometric-multigrid V-cycle.
 
 Each coarser operator is the tangent of its own mesh, frozen at this candidate's
 own solution there. Smoother: Chebyshev of degree `DEGREE` over 3 x 3 block Jacobi;
@@ -33,15 +33,15 @@ __all__ = [
 DEGREE = 3
 # The smoother treats the upper part of the spectrum, [lambda_max / RATIO, lambda_max].
 RATIO = 12.0
-# Rounds of the power iteration for lambda_max, from noise and from an earlier eigenvector.
+# Power iterations for lambda_max, from noise and from an earlier eigenvector.
 ROUNDS_FROM_NOISE, ROUNDS_FROM_ESTIMATE = 12, 3
 
 Cholesky = tuple[FloatArray, bool]
-"""Factor and whether it is lower, as `scipy.linalg.cho_factor` returns them."""
+"""Factor, and whether it is lower, as returned by `scipy.linalg.cho_factor`."""
 
 
 class LinearSolver(Protocol):
-    """A solver with one tangent."""
+    """Solver with one tangent."""
 
     @property
     def eigenvector(self) -> Float32Array | None:
@@ -57,14 +57,14 @@ class LinearSolver(Protocol):
         """Solve approximately for one right-hand side, (n, 4), or for a block, (n, 4, LANES)."""
 
     def approximate(self, b: FloatArray) -> FloatArray:
-        """Solve approximately for one right-hand side, (n, 4), in the best way at no great cost."""
+        """Solve approximately for one right-hand side, (n, 4), as well as possible at low cost."""
 
     def multiply(self, x: FloatArray, y: FloatArray) -> None:
         """Set y = tangent times x, and the pressure of `x`."""
 
 
 LinearSolverFactory = Callable[[Level, Tangent, Float32Array | None], LinearSolver]
-"""Makes a solver of a tangent, from an estimate of its stiffest mode where there is one."""
+"""Function that makes a solver from a tangent and an optional estimate of its stiffest mode."""
 
 
 def linear_solver(
@@ -73,14 +73,14 @@ def linear_solver(
     coarser: Sequence[LinearSolver],
     eigenvector: Float32Array | None = None,
 ) -> LinearSolver:
-    """Return a solver with this tangent, preconditioned by those of the coarser levels."""
+    """Return a solver with this tangent, preconditioned by the coarser levels' solvers."""
     if not coarser:
         return CholeskySolver(level, tangent)
     return Multigrid(level, tangent, coarser[-1], eigenvector)
 
 
 def solver_factory(coarser: Sequence[LinearSolver]) -> LinearSolverFactory:
-    """Return what makes the solvers of a level, from those of the coarser ones."""
+    """Return the factory of a level's solvers, given the solvers of the coarser levels."""
     below = tuple(coarser)
     return lambda level, tangent, eigenvector: linear_solver(level, tangent, below, eigenvector)
 
@@ -113,7 +113,7 @@ class CholeskySolver:
         return Corrections(np.ascontiguousarray(u), np.ones(k, np.int64), np.zeros(k), self.shifted)
 
     def precondition(self, b: Float32Array) -> Float32Array:
-        """Multiply with the inverse in single precision; it is made at the first call."""
+        """Multiply by the inverse in single precision, computed at the first call."""
         if self._inverse is None:
             inverse = linalg.cho_solve(self._factor, np.diag(self._free.ravel()))
             inverse *= self._free.ravel()[:, None]
@@ -142,7 +142,7 @@ class CholeskySolver:
 
 
 def _cholesky(A: FloatArray) -> tuple[bool, Cholesky]:
-    """Factor `A`, and tell whether it had to be shifted."""
+    """Factor `A`; the flag is True if it had to be shifted."""
     shift = 0.0
     scale = float(np.abs(np.diagonal(A)).mean())
     while True:
@@ -161,9 +161,9 @@ class Multigrid:
     level : Level
     tangent : Tangent
     coarser : LinearSolver
-        Of the next coarser level.
+        Solver of the next coarser level.
     eigenvector : ndarray of float32, shape (n, 4), optional
-        Of an earlier tangent: it hardly turns between Newton steps.
+        Estimate from an earlier tangent: it hardly changes between Newton steps.
     """
 
     def __init__(
@@ -187,7 +187,7 @@ class Multigrid:
         return conjugate_gradients.solve(self, b, tolerance)
 
     def solve_many(self, b: FloatArray, tolerance: float) -> Corrections:
-        """Solve for several right-hand sides, shape (k, n, 3), that travel together."""
+        """Solve for several right-hand sides, shape (k, n, 3), in blocks."""
         return block_conjugate_gradients.solve_many(self, b, tolerance)
 
     def multiply(self, x: FloatArray, y: FloatArray) -> None:
@@ -195,9 +195,9 @@ class Multigrid:
         self._packed.multiply(x, y)
 
     def precondition(self, b: Float32Array) -> Float32Array:
-        """Run one V-cycle, symmetric: as much smoothing after as before the coarser level.
+        """Run one symmetric V-cycle: equal smoothing before and after the coarser level.
 
-        The answer is good until the next call.
+        The result is valid until the next call.
         """
         A = self._packed
         x, r, step, other = self._work_vectors(b)
@@ -222,7 +222,7 @@ class Multigrid:
         return self.precondition(b.astype(np.float32)).astype(np.float64)
 
     def _work_vectors(self, like: Float32Array) -> tuple[Float32Array, ...]:
-        """Return four vectors, kept: fresh ones would cost more than a sweep to page in."""
+        """Return four cached vectors: paging in fresh ones would cost more than a sweep."""
         if like.ndim not in self._work:
             self._work[like.ndim] = tuple(np.zeros_like(like) for _ in range(4))
         return self._work[like.ndim]
@@ -234,7 +234,7 @@ def _product(matrix: sparse.csr_matrix, x: Float32Array) -> Float32Array:
 
 
 def _chebyshev(largest: float) -> list[tuple[np.float32, np.float32]]:
-    """Return how much of the last step each smoothing step keeps, and its share of the residual.
+    """Return the momentum of each smoothing step, and its factor on the residual.
 
     Chebyshev iteration on [largest / RATIO, largest] (Adams, Brezina, Hu and
     Tuminaro 2003).
@@ -256,20 +256,20 @@ def _largest_eigenvalue(
 ) -> tuple[float, Float32Array]:
     """Find the largest eigenvalue of block Jacobi times tangent, by power iteration.
 
-    Without an `estimate` of the eigenvector it starts from noise.
+    Without an `estimate` of the eigenvector, iteration starts from noise.
 
     Returns
     -------
     float
     ndarray of float32, shape (n, 4)
-        Its eigenvector, in unit length.
+        Its eigenvector, of unit length.
     """
     if estimate is None:
         noise = np.random.default_rng(0).standard_normal(level.free.shape)
         v, rounds = np.zeros((len(noise), 4), np.float32), ROUNDS_FROM_NOISE
         v[:, :3] = noise * level.free
     else:
-        # A product sets the pressure of what it multiplies: the estimate is left as it is.
+        # A product sets the pressure of its argument: the estimate is left unchanged.
         v, rounds = estimate.copy(), ROUNDS_FROM_ESTIMATE
     y, z = np.zeros_like(v), np.zeros_like(v)
     largest = 1.0

@@ -1,4 +1,4 @@
-"""A tangent ready for many products: packed rows, block Jacobi, the plates' travel.
+"""Tangent prepared for many products: packed rows, block Jacobi, the plates' travel.
 
 Each method takes vectors of one right-hand side, (n, 4), or of `LANES`, (n, 4,
 LANES), in single or double precision.
@@ -12,7 +12,7 @@ from palpate.workers.mechanics.fem.problem.array_types import AnyFloatArray, Flo
 
 
 class PackedTangent:
-    """The tangent of a level; the travel of its plates is eliminated by a rank-one term."""
+    """Tangent of a level; the travel of its plates is eliminated by a rank-one term."""
 
     def __init__(self, level: Level, tangent: Tangent) -> None:
         g, n = level.model.graph, len(level.model.nodes)
@@ -45,7 +45,7 @@ class PackedTangent:
         sparse_products.set_pressure(*self._matrix, x)
 
     def subtract_product(self, x: Float32Array, r: Float32Array) -> None:
-        """Take tangent times x from `r`; `x` knows its pressure."""
+        """Subtract tangent times x from `r`; the pressure of `x` is set."""
         self._add_travel(self._factor, x, r)
         sparse_products.subtract_product(*self._matrix, x, r)
 

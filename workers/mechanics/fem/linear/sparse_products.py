@@ -16,8 +16,8 @@ fastest loop is another one, there are two, and the compiler chooses by the shap
 A smoothing sweep reads the matrix once: when node i has its new step, its share
 in the pressure of the neighbours is scattered from the same packed edges.
 
-What the memory and the processor are asked for, at 14.4 edges and 5.5
-tetrahedra a node, and what one thread of a Zen 5 at 90k nodes reached:
+Demands on memory and processor, at 14.4 edges and 5.5 tetrahedra a node, and the
+performance reached by one thread of a Zen 5 at 90k nodes:
 
 ======================= ============= ============ ======= ====================
 work                    bytes a node  flops a node ms      reached
@@ -31,7 +31,7 @@ assembly                2,600         5,000        60      4 GB/s, 8 Gflop/s
 
 A product waits for memory at 90k nodes; at 20k its 14 MB stay in the cache and
 it takes 0.23 ms. Assembly spends a third of its time on the force, a third on the
-blocks and a third on adding each element's sixteen edges where they belong.
+blocks and a third on adding each element's sixteen edges to the rows.
 """
 
 from collections.abc import Callable
@@ -59,7 +59,7 @@ _COMPILED = "only compiled code calls this, and runs one of the two below instea
 
 
 def _choose_by_shape(called: Kernel, of_one: Kernel, of_several: Kernel) -> None:
-    """Let compiled code that calls `called` run one of two, by the shape of its vectors."""
+    """Dispatch compiled calls of `called` to one of two kernels by the shape of the vectors."""
 
     @overload(called, inline="always", strict=False)
     def choose(*arguments: types.Type) -> Kernel:
@@ -101,7 +101,7 @@ _choose_by_shape(set_component, _set_component_of_one, _set_component_of_several
 
 @njit(**CONTRACTED)
 def clear_held_rows(start: IntArray, free: Float32Array, rows: Float32Array) -> None:
-    """Empty the rows of prescribed displacements, where `free`, (n, 3), is zero."""
+    """Clear the rows of prescribed displacements, where `free`, (n, 3), is zero."""
     for i in range(free.shape[0]):
         for a in range(3):
             if free[i, a] == 0:
@@ -112,7 +112,7 @@ def clear_held_rows(start: IntArray, free: Float32Array, rows: Float32Array) -> 
 def _row_product(
     start: IndexArray, neighbour: IndexArray, rows: Float32Array, i: int, x: AnyFloatArray
 ) -> tuple[Number, Number, Number]:
-    """Return row i of the product; `x` knows its pressure."""
+    """Return row i of the product; the pressure of `x` is set."""
     raise NotImplementedError(_COMPILED)
 
 
@@ -188,7 +188,7 @@ def multiply(
     x: AnyFloatArray,
     y: AnyFloatArray,
 ) -> None:
-    """Set y = tangent times x; the pressure of `y` is left alone."""
+    """Set y = tangent times x, except for the pressure of `y`."""
     for i in range(x.shape[0]):
         s0, s1, s2 = _row_product(start, neighbour, rows, i, x)
         set_component(y, i, 0, s0)
@@ -204,7 +204,7 @@ def subtract_product(
     x: AnyFloatArray,
     r: AnyFloatArray,
 ) -> None:
-    """Take tangent times x from `r`."""
+    """Subtract tangent times x from `r`."""
     for i in range(x.shape[0]):
         s0, s1, s2 = _row_product(start, neighbour, rows, i, x)
         set_component(r, i, 0, component(r, i, 0) - s0)
@@ -246,7 +246,7 @@ def smoothing_sweep(
     new: Float32Array,
     with_pressure: bool,
 ) -> None:
-    """Take the step `old` and find the next one.
+    """Take the step `old` and compute the next one.
 
     ``r -= tangent old``, ``new = momentum * old + scale * inverse r``, ``x += new``;
     the pressure of `new` only if `with_pressure`.
@@ -339,7 +339,7 @@ def dots(a: FloatArray, b: FloatArray, sums: FloatArray) -> None:
 def take_step(
     alpha: float | FloatArray, p: FloatArray, y: FloatArray, x: FloatArray, r: FloatArray
 ) -> None:
-    """Add alpha p to `x` and take alpha y from `r`; `alpha` is a number or (LANES,)."""
+    """Add alpha p to `x` and subtract alpha y from `r`; `alpha` is a number or (LANES,)."""
     length = lanes_of(alpha)
     for i in range(x.shape[0]):
         for a in range(3):

@@ -1,4 +1,4 @@
-"""Arrays of the compiled kernels."""
+"""Array types of the compiled kernels."""
 
 from typing import Any
 
@@ -8,4 +8,4 @@ from numpy.typing import NDArray
 Float32Array = NDArray[np.float32]
 AnyFloatArray = NDArray[np.floating[Any]]
 IndexArray = NDArray[np.uint32]
-"""Unsigned: a compiled loop need not ask for negative indices."""
+"""Unsigned: compiled loops need not check for negative indices."""

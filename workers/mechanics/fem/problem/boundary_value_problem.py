@@ -1,4 +1,4 @@
-"""The problem that the solver is given. Units mm, N, MPa."""
+"""Input of the solver. Units mm, N, MPa."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,22 +34,22 @@ class Constants:
     fibre_mpa : float
         Fibre stiffness eta of thesis Eq. 4.6, >= 0.
     second_fibre_mpa : float
-        The same of a second family, >= 0.
+        Stiffness of a second family of fibres, >= 0.
     stiffening : float
         c2 / mu of Yeoh's law, ``mu ((I1bar - 3) / 2 + c2/mu (I1bar - 3)^2)``, >= 0.
     density_t_per_mm3 : float
         1e-9 is water.
     law : Isochoric, optional
-        Another law for the matrix, in place of neo-Hooke's and Yeoh's. Young's
-        modulus and Poisson's ratio then say the bulk modulus alone.
+        Another law for the matrix instead of neo-Hooke's and Yeoh's. Young's modulus and
+        Poisson's ratio then only determine the bulk modulus.
     growth : float
-        Volume at which the tissue is free of stress over that in the undeformed body, > 0;
+        Ratio of the stress-free volume of the tissue to its volume in the undeformed body, > 0;
         the same along all axes.
 
     Raises
     ------
     InputError
-        If a constant lies outside its range.
+        If a constant is outside its range.
     """
 
     young_mpa: float
@@ -99,13 +99,13 @@ class Membrane:
         > 0.
     wrinkles : bool
         Fold where it would be compressed, see `workers.mechanics.fem.elements.membrane`. A sheet
-        that does not wrinkle pushes back, and turns elements under it inside out
-        where it is much stiffer than they are.
+        that does not wrinkle resists compression, and inverts elements under it if it is much
+        stiffer than they are.
 
     Raises
     ------
     InputError
-        If a constant lies outside its range.
+        If a constant is outside its range.
     """
 
     young_mpa: float
@@ -122,51 +122,51 @@ class Membrane:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One loading of one body.
+    """Boundary value problem: one loading of one body.
 
     Parameters
     ----------
     constants : mapping of Tissue to Constants
-        Every tissue present in the mesh must be named.
+        Must include every tissue in the mesh.
     load : ForceControl, DistanceControl or NoPlates
     membrane : Membrane, optional
-        Skin on the free surface, when the mesh does not resolve it.
+        Skin on the free surface, if the mesh does not resolve it.
     fibres : FibreField
         Fibre directions in the undeformed body.
     literal_fibre : bool
-        Let fibres push back under compression too, as thesis Eq. 4.6 says when
-        read literally. Many equilibria may then exist; the default acts in
-        tension only.
+        Let fibres also resist compression, as a literal reading of thesis Eq. 4.6
+        implies. Many equilibria may then exist; by default fibres act in tension
+        only.
     isochoric_fibre : bool
         Measure fibres by I4bar = J^(-2/3) I4, as FEBio does.
     wall : Wall
-        How the chest wall holds the body.
+        Support by the chest wall.
     attachments : tuple of Attachment
         Springs on patches of the boundary.
     variations : tuple of Gradient or Inclusion
-        Where the stiffness departs from that of the tissue.
+        Deviations of the stiffness from the tissue's.
     gravity_g : tuple of float
         Body force in multiples of gravity.
     imaged_gravity_g : tuple of float
-        Gravity that the undeformed image already carries: its shape is then not
-        stress-free, and the shape that is is found first.
+        Gravity during imaging, in multiples of gravity: the imaged shape is then not
+        stress-free, and the stress-free shape is computed first.
     pressures : tuple of Pressure
     forces : tuple of DeadForce
     holds : tuple of Hold
     plain_elements : bool
         Textbook linear tetrahedra without the nodal average; they lock, and do not grow.
     tolerance_mm : float
-        The last full Newton step on the finest mesh is shorter than this.
+        Upper bound of the last full Newton step on the finest mesh.
     friction_steps : int
-        Steps of the load, each in equilibrium, in which friction is followed; >= 1. With four the
-        plates' travel is that of eight within 0.3 %.
+        Load steps in which friction is followed, each ending in equilibrium; >= 1. The plates'
+        travel with four steps agrees with eight within 0.3 %.
     restarts : bool
-        Solve from rest what was not found from the equilibrium of a similar problem.
+        Solve from rest if starting from the equilibrium of a similar problem fails.
 
     Raises
     ------
     InputError
-        If plain elements are to grow.
+        If plain elements are combined with growth.
     """
 
     constants: Mapping[Tissue, Constants]
@@ -195,7 +195,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """Two problems on either side of the present one, `step` apart in a parameter."""
+    """Two problems around the present one, `step` apart in a parameter."""
 
     plus: Problem
     minus: Problem

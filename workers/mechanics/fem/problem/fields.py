@@ -11,7 +11,7 @@ from palpate.storage.values import BoolArray, FloatArray, IntArray, Tissue, Trip
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The box around the undeformed body; its faces have the coordinates -1 and 1."""
+    """Box around the undeformed body; its faces have the coordinates -1 and 1."""
 
     centre_mm: Triple = (0.0, 0.0, 0.0)
     half_mm: Triple = (1.0, 1.0, 1.0)
@@ -47,11 +47,11 @@ class FibreField:
     Parameters
     ----------
     axis : tuple of float
-        Chest wall to nipple.
+        From chest wall to nipple.
     turn_deg, fan_deg : tuple of float
         Towards x and towards y.
     second_axis : tuple of float
-        The second family, where constants name a stiffness for it.
+        Direction of the second family, if constants give it a stiffness.
     frame : Frame
     """
 
@@ -90,7 +90,7 @@ WALL_TO_NIPPLE = FibreField()
 
 @dataclass(frozen=True, slots=True)
 class Gradient:
-    """Stiffness that grows along an axis: ln of the factor from the centre to each face.
+    """Exponential gradient of the stiffness: ln of the factor from the centre to each face.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class Gradient:
         Along x, y and z.
     frame : Frame
     tissues : tuple of Tissue
-        Those it applies to; empty means all.
+        Tissues it applies to; empty means all.
     """
 
     log_per_half: Triple
@@ -110,15 +110,15 @@ class Gradient:
         return np.asarray(self.frame.normalised(points) @ np.asarray(self.log_per_half))
 
 
-# An inclusion fades over this length, so that its place and size have derivatives.
+# An inclusion fades over this length, so that its position and size have derivatives.
 EDGE_MM = 1.0
-# So many of these lengths from its surface nothing is left of it: tanh is 1 to the last digit.
+# Beyond so many of these lengths from its surface it has no effect: tanh is 1 to the last digit.
 GONE_AFTER = 20.0
 
 
 @dataclass(frozen=True, slots=True)
 class Inclusion:
-    """A ball in which the stiffness of every tissue is multiplied by exp(`log_ratio`)."""
+    """Ball in which the stiffness of every tissue is multiplied by exp(`log_ratio`)."""
 
     log_ratio: float
     centre_mm: Triple
@@ -135,7 +135,7 @@ class Inclusion:
         return np.asarray(self.log_ratio * 0.5 * (1 - np.tanh(away / EDGE_MM)))
 
     def reaches(self, nodes: FloatArray) -> BoolArray:
-        """Return whether its factor at `nodes`, shape (n, 3), may be another one than 1."""
+        """Test whether its factor at each of `nodes`, shape (n, 3), may differ from 1."""
         away = nodes - np.asarray(self.centre_mm)
         reach = self.radius_mm + GONE_AFTER * EDGE_MM
         return np.asarray(np.einsum("ij,ij->i", away, away) < reach**2)
@@ -147,7 +147,7 @@ Variation = Gradient | Inclusion
 def stiffness_factors(
     variations: Iterable[Variation], nodes: FloatArray, tets: IntArray, n_tissues: int
 ) -> FloatArray:
-    """Return the factor of the stiffness of each tissue in each element, shape (m, tissues).
+    """Return the stiffness factor of each tissue in each element, shape (m, tissues).
 
     The logarithm is averaged over the corners and the centroid of the element.
     """
@@ -163,11 +163,11 @@ def stiffness_factors(
 def elements_reached(
     inclusions: Iterable[Inclusion], nodes: FloatArray, tets: IntArray, centroids: FloatArray
 ) -> BoolArray:
-    """Return in which elements inclusions may change the stiffness, shape (m,)."""
+    """Find the elements in which inclusions may change the stiffness, shape (m,)."""
     corners, middles = np.zeros(len(nodes), np.bool_), np.zeros(len(tets), np.bool_)
     for ball in inclusions:
         corners |= ball.reaches(nodes)
-        middles |= ball.reaches(centroids)  # of elements larger than the ball
+        middles |= ball.reaches(centroids)  # for elements larger than the ball
     for corner in tets.T:
         middles |= corners[corner]
     return middles

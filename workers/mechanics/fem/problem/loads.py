@@ -1,4 +1,4 @@
-"""Loads and boundary conditions: plates, pressure, forces, held places, chest wall."""
+"""Loads and boundary conditions: plates, pressure, forces, holds, chest wall."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ class Plate:
     Parameters
     ----------
     tilt_deg : tuple of float
-        Turned about the first and the second in-plane axis; see `Device`.
+        Rotation about the first and the second in-plane axis; see `Device`.
     bow_per_mm : tuple of float
         Curvature along the first and the second in-plane axis, positive where the
         plate bends away from the body.
@@ -30,8 +30,8 @@ class Plate:
 class Device:
     """Position and motion of two rigid plates.
 
-    For compression along y the in-plane axes are x and z: in general the second
-    is z less its part along the axis, and the first is axis x second.
+    For compression along y the in-plane axes are x and z. In general the second is z
+    minus its component along the axis, and the first is axis x second.
 
     Parameters
     ----------
@@ -39,15 +39,15 @@ class Device:
         From the lower to the upper plate: (0, 1, 0) cranio-caudal, (s, s, 0)
         with s = sqrt(1/2) mediolateral oblique at 45 degrees.
     pivot_mm : tuple of float
-        Tilt and bow leave the plate's distance at this point unchanged.
+        Point at which tilt and bow do not change the plate's distance.
     lower, upper : Plate
     lower_share : float
-        Part of the travel that the lower plate makes, 0 to 1.
+        Share of the travel made by the lower plate, 0 to 1.
     friction : float
         Coulomb's coefficient between skin and both plates.
     edge_mm : float, optional
-        Where both plates begin to be flat along the second in-plane axis: behind that place
-        their rounding leaves the body. None for plates without an end.
+        Start of the flat part of both plates along the second in-plane axis; behind it their
+        rounding curves away from the body. None for plates without an edge.
     """
 
     axis: Triple = (0.0, 1.0, 0.0)
@@ -65,14 +65,14 @@ class Device:
             )
         if not np.linalg.norm(np.cross(self.axis, (0.0, 0.0, 1.0))) > 1e-6:
             raise InputError(
-                f"The axis of compression must not lie along z, which runs from chest wall "
+                f"The axis of compression must not be along z, which runs from chest wall "
                 f"to nipple; got {self.axis}."
             )
 
 
 @dataclass(frozen=True, slots=True)
 class ForceControl:
-    """The plates are pushed together until they carry `force_n`.
+    """Plates that are pushed together until they carry `force_n`.
 
     They start at `lower_mm` and `upper_mm` along the axis of the device.
     """
@@ -90,7 +90,7 @@ class ForceControl:
 
 @dataclass(frozen=True, slots=True)
 class DistanceControl:
-    """The plates end at `lower_mm` and `upper_mm`, whatever force that takes."""
+    """Plates that end at `lower_mm` and `upper_mm`, whatever the force."""
 
     lower_mm: float
     upper_mm: float
@@ -102,7 +102,7 @@ class DistanceControl:
 
 @dataclass(frozen=True, slots=True)
 class NoPlates:
-    """No plates; gravity, pressure, forces and held places may act."""
+    """Load without plates; gravity, pressure, forces and holds may act."""
 
     device: Device = Device()
 
@@ -112,7 +112,7 @@ Load = ForceControl | DistanceControl | NoPlates
 
 @dataclass(frozen=True, slots=True)
 class Pressure:
-    """Pressure on the free surface inside a region, normal to it as it deforms.
+    """Pressure on the free surface inside a region, normal to the deformed surface.
 
     Positive pushes inwards.
     """
@@ -123,7 +123,7 @@ class Pressure:
 
 @dataclass(frozen=True, slots=True)
 class DeadForce:
-    """A force that keeps its direction, shared evenly by the nodes of a region."""
+    """Force of constant direction, distributed evenly over the nodes of a region."""
 
     force_n: Triple
     region: Region
@@ -131,11 +131,11 @@ class DeadForce:
 
 @dataclass(frozen=True, slots=True)
 class DisplacementField:
-    """Displacements that are known at some points.
+    """Interpolated displacements, known at some points.
 
-    Between them they are an affine map, fitted by least squares, and what it leaves by
-    biharmonic functions, the linear kernel of M. D. Buhmann, Radial Basis Functions (2003):
-    points of one plane will do.
+    The interpolant is an affine map, fitted by least squares, plus biharmonic functions for its
+    residuals, the linear kernel of M. D. Buhmann, Radial Basis Functions (2003). The points may
+    be in one plane.
     """
 
     points_mm: tuple[Triple, ...]
@@ -159,14 +159,14 @@ def _with_one(points: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Displacement prescribed on the nodes of a region, along the axes that are held."""
+    """Displacement prescribed on the nodes of a region, along the held axes."""
 
     region: Region
     displacement_mm: Triple | DisplacementField = (0.0, 0.0, 0.0)
     axes: tuple[bool, bool, bool] = (True, True, True)
 
     def at(self, points: FloatArray) -> FloatArray:
-        """Return what is prescribed at points of the region, (k, 3) in and out, in mm."""
+        """Return the prescribed displacement at points of the region, (k, 3) in and out, in mm."""
         if isinstance(self.displacement_mm, DisplacementField):
             return self.displacement_mm.at(points)
         return np.tile(np.asarray(self.displacement_mm, np.float64), (len(points), 1))
@@ -179,10 +179,10 @@ class Wall:
     Parameters
     ----------
     held : tuple of bool
-        Which displacement components are zero.
+        Whether each displacement component is zero.
     spring_mpa_per_mm : tuple of float
         Elastic foundation along the components that are not held: traction per
-        displacement. Zero lets the wall slide.
+        displacement. With zero the wall slides.
     """
 
     held: tuple[bool, bool, bool] = (False, False, True)
@@ -200,7 +200,7 @@ SLIDING_WALL = Wall()
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """Springs that hold a patch of the skin or of the chest wall to where it was.
+    """Springs that hold a patch of the skin or of the chest wall in place.
 
     Their stiffness falls off with the distance d from the centre as ``exp(-d^2 / 2 r^2)``.
 
@@ -209,7 +209,7 @@ class Attachment:
     spring_mpa_per_mm : tuple of float
         Traction per displacement along x, y and z, >= 0.
     centre_mm : tuple of float
-        In the undeformed body.
+        Centre in the undeformed body.
     radius_mm : float
         r, > 0.
     """
@@ -226,7 +226,7 @@ class Attachment:
             )
 
     def weight(self, points: FloatArray) -> FloatArray:
-        """Return the part of the stiffness at `points`, shape (k, 3); shape (k,)."""
+        """Return the relative stiffness at `points`, shape (k, 3); shape (k,)."""
         away = (points - np.asarray(self.centre_mm)) / self.radius_mm
         return np.asarray(np.exp(-0.5 * (away * away).sum(axis=1)))
 
@@ -235,6 +235,6 @@ def _check_plates(lower_mm: float, upper_mm: float) -> None:
     """Refuse plates in the wrong order."""
     if not upper_mm > lower_mm:
         raise InputError(
-            f"The upper plate ({upper_mm:g} mm along the axis) must lie above the lower one "
+            f"The upper plate ({upper_mm:g} mm along the axis) must be above the lower one "
             f"({lower_mm:g} mm)."
         )

@@ -1,4 +1,4 @@
-"""How a simulation ended.
+"""Outcome of a simulation.
 
 ::
 
@@ -11,25 +11,25 @@ from typing import Any
 
 from palpate.storage.values import FloatArray
 
-# An answer with an element squeezed below this volume ratio is not to be trusted.
+# A result with an element squeezed below this volume ratio is not to be trusted.
 SQUEEZED_J = 0.3
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a simulation ended, and how far to trust it.
+    """Outcome of a simulation, with measures of its reliability.
 
     Parameters
     ----------
     converged : bool
     reason : str
-        Why it diverged; empty when it converged.
+        Reason for divergence; empty if it converged.
     newton_iterations, cg_iterations : tuple of int
-        Per level, coarse to fine.
+        Iterations on each level, coarse to fine.
     residual_n : float
         Norm of the out-of-balance force on the free degrees of freedom.
     plate_displacement_mm : float
-        How far the upper plate has moved down.
+        Downward displacement of the upper plate.
     plate_force_n : float
         Force on the upper plate.
     contact_area_mm2 : float
@@ -41,11 +41,11 @@ class Outcome:
     energy_mj : float
         Stored energy in mJ (= N mm).
     force_imbalance : float
-        ``|upper - lower| / upper``: what the two plates carry, compared.
+        ``|upper - lower| / upper`` of the forces on the two plates.
     wall_force_n : float
         Reaction of the chest wall along z.
     squeezed : bool
-        Converged, but some element has J < 0.3.
+        Whether it converged, but with an element of J < 0.3.
     """
 
     converged: bool
@@ -64,13 +64,13 @@ class Outcome:
     squeezed: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain JSON-able values."""
+        """Return the values as a JSON-serialisable dict."""
         return asdict(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Displacement of the finest mesh, shape (n, 3) in mm, and how it was reached."""
+    """Displacement of the finest mesh, shape (n, 3) in mm, and the outcome."""
 
     displacement_mm: FloatArray
     outcome: Outcome

@@ -1,4 +1,4 @@
-"""Places on a body, named by their undeformed coordinates so that every mesh has them."""
+"""Regions of a body, defined by undeformed coordinates so that they apply to any mesh."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from palpate.storage.values import BoolArray, FloatArray, Triple
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """Points between two corners, in mm; infinite corners leave a side open."""
+    """Points between two corners, in mm; an infinite coordinate leaves a side open."""
 
     lower_mm: Triple
     upper_mm: Triple
@@ -20,7 +20,7 @@ class Box:
             raise InputError(f"A box needs lower <= upper, got {self.lower_mm} and {self.upper_mm}")
 
     def contains(self, points: FloatArray, margin_mm: float = 0.0) -> BoolArray:
-        """Return which of `points`, shape (k, 3), lie inside the box grown by `margin_mm`."""
+        """Test whether each of `points`, shape (k, 3), is inside the box grown by `margin_mm`."""
         low = np.asarray(self.lower_mm) - margin_mm
         high = np.asarray(self.upper_mm) + margin_mm
         return np.asarray(((points >= low) & (points <= high)).all(axis=1))
@@ -34,7 +34,7 @@ class Ball:
     radius_mm: float
 
     def contains(self, points: FloatArray, margin_mm: float = 0.0) -> BoolArray:
-        """Return which of `points`, shape (k, 3), lie inside the ball grown by `margin_mm`."""
+        """Test whether each of `points`, shape (k, 3), is inside the ball grown by `margin_mm`."""
         distance = np.linalg.norm(points - np.asarray(self.centre_mm), axis=1)
         return np.asarray(distance <= self.radius_mm + margin_mm)
 
@@ -47,11 +47,11 @@ class OutsideCircle:
     radius_mm: float
 
     def contains(self, points: FloatArray, margin_mm: float = 0.0) -> BoolArray:
-        """Return which of `points`, shape (k, 3), lie outside of a circle `margin_mm` smaller."""
+        """Test whether each of `points`, shape (k, 3), is outside a circle `margin_mm` smaller."""
         return np.asarray(self._from_axis(points) >= self.radius_mm - margin_mm)
 
     def away(self, points: FloatArray) -> FloatArray:
-        """Return the distance of points inside the circle from it, shape (k,)."""
+        """Return the distance from points inside the circle to it, shape (k,)."""
         return np.asarray(self.radius_mm - self._from_axis(points))
 
     def _from_axis(self, points: FloatArray) -> FloatArray:
@@ -64,10 +64,10 @@ EVERYWHERE = Box((-np.inf, -np.inf, -np.inf), (np.inf, np.inf, np.inf))
 
 
 def nodes_in(region: Region, nodes: FloatArray, margin_mm: float) -> BoolArray:
-    """Return which `nodes`, shape (n, 3), belong to the region: at least the nearest one.
+    """Find the `nodes`, shape (n, 3), that belong to a region: at least the nearest one.
 
-    A coarse mesh may have no node inside a small region; it then takes those
-    within `margin_mm`, or the nearest of all.
+    A coarse mesh may have no node inside a small region; nodes within `margin_mm`, or else the
+    nearest one, are then used.
     """
     inside = region.contains(nodes)
     if not inside.any():
@@ -78,7 +78,7 @@ def nodes_in(region: Region, nodes: FloatArray, margin_mm: float) -> BoolArray:
 
 
 def _distance(region: Region, nodes: FloatArray) -> FloatArray:
-    """Return the distance of `nodes` from a region in which none lies, shape (n,)."""
+    """Return the distance of `nodes` from a region that contains none of them, shape (n,)."""
     if isinstance(region, Ball):
         return np.asarray(np.linalg.norm(nodes - np.asarray(region.centre_mm), axis=1))
     if isinstance(region, OutsideCircle):

@@ -112,7 +112,7 @@ def _colours(frame: Imaged) -> Iterator[Finding]:
     if near.any():
         yield Finding("implausible", f"{what.format('on or near the cornea')} {advice}")
     else:
-        yield Finding("warning", f"{what.format('beside the cornea')} They were read as grey.")
+        yield Finding("warning", f"{what.format('next to the cornea')} They were read as grey.")
 
 
 def _near_surfaces(frame: Imaged, shape: tuple[int, ...]) -> BoolArray:

@@ -1,8 +1,8 @@
-"""The corners of the box of constants that a search of a breast may visit.
+"""Corners of the search box of a breast's constants.
 
-At its softest corners 100 N flatten the breast by two thirds; at its stiffest the
-skin is 600 times as stiff as the fat, and has wrinkled all over. A search needs a
-sound equilibrium at each of them.
+At the softest corners 100 N flatten the breast by two thirds; at the stiffest the
+skin is 600 times as stiff as the fat, and is wrinkled everywhere. A search needs a
+sound equilibrium at each corner.
 """
 
 import itertools
@@ -51,7 +51,7 @@ def breast() -> tuple[Model, Extent]:
 
 @cache
 def press(corner: Corner) -> Outcome:
-    """Each of the first four or five constants at its lower (0) or upper (1) bound."""
+    """Press a breast with its first constants at their lower (0) or upper (1) bounds."""
     names = COVERED[: len(corner)]
     constants = {name: BREAST[name].bounds[end] for name, end in zip(names, corner, strict=True)}
     asked = case("membrane" if len(corner) == len(COVERED) else "none")
@@ -74,7 +74,7 @@ def assert_sound(outcome: Outcome) -> None:
 
 
 @pytest.mark.parametrize("corner", QUICK, ids=str)
-def test_a_handful(corner: Corner) -> None:
+def test_some_corners_have_a_sound_equilibrium(corner: Corner) -> None:
     outcome = press(corner)
     assert_in_equilibrium(outcome)
     assert_sound(outcome)
@@ -91,8 +91,8 @@ def test_every_corner_has_a_sound_equilibrium(corner: Corner) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("names", [BARE, COVERED], ids=["bare", "covered"])
-def test_what_is_stiffer_gives_way_less(names: tuple[str, ...]) -> None:
-    """Along every edge of the box the plate moves less at the stiffer end."""
+def test_stiffer_corners_yield_less(names: tuple[str, ...]) -> None:
+    """Along every edge of the box the plate moves less at the stiff end."""
     for corner in corners(names):
         for k in np.flatnonzero(np.array(corner) == 0):
             stiffer = (*corner[:k], 1, *corner[k + 1 :])

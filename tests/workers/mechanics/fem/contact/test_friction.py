@@ -13,14 +13,14 @@ from tests.workers.mechanics.fem.solids import FAR, body, box
 
 
 def slab(axis: int, at: float) -> Box:
-    """All points with this coordinate."""
+    """Return the box of all points with this coordinate."""
     low, high = [-FAR] * 3, [FAR] * 3
     low[axis], high[axis] = at - 1e-6, at + 1e-6
     return Box(tuple(low), tuple(high))
 
 
 def pads_of(found: Equilibrium) -> list[tuple[FloatArray, FloatArray]]:
-    """Normal force, (c,), and friction on the body, (c, 3), of each plate in N."""
+    """Return normal force, (c,), and friction on the body, (c, 3), of each plate in N."""
     level, state = found.levels[-1], found.states[-1]
     plate_contacts = level.energy(state, found.stage).plate_contacts
     return [
@@ -35,15 +35,15 @@ def settled(model, problem) -> Equilibrium:
     return found
 
 
-def test_endless_friction_is_glue():
-    """The same as faces held in their plane."""
+def test_infinite_friction_is_glue():
+    """It is equivalent to faces held in their plane."""
     L, d = 20.0, 2.0
     c = {Tissue.FAT: Constants(1e-3, 0.45)}
     model = body([(4, 4, 4)], box(20.0, L, 20.0, origin=(-10.0, 0.0, 0.0)))
     rough = DistanceControl(0.0, L - d, Device(friction=1e3))
     stuck = settled(model, Problem(c, rough, tolerance_mm=1e-4))
     faces = (Hold(slab(1, 0.0)), Hold(slab(1, L), (0.0, -d, 0.0)))
-    # These plates never touch: the faces are moved instead.
+    # These plates never touch: the faces are displaced instead.
     far = DistanceControl(-100.0, 100.0)
     held = settled(model, Problem(c, far, holds=faces, tolerance_mm=1e-6))
     free = settled(model, Problem(c, DistanceControl(0.0, L - d), tolerance_mm=1e-5))
@@ -53,7 +53,7 @@ def test_endless_friction_is_glue():
     np.testing.assert_allclose(u, v, atol=0.02 * bulge)
 
 
-def test_friction_stays_inside_its_cone():
+def test_friction_is_inside_its_cone():
     model = body([(4, 4, 4)], box(20.0, 20.0, 20.0, origin=(-10.0, 0.0, 0.0)), jitter=0.1)
     mu = 0.15
     load = ForceControl(1.0, 0.0, 20.0, Device(friction=mu))
@@ -68,8 +68,8 @@ def test_friction_stays_inside_its_cone():
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_dragged_block_slips_on_both_plates(way):
-    """Its middle is pulled 30 mm along x: what that takes is mu times both normal forces."""
+def test_dragged_block_slips_on_both_plates(way):
+    """Pulling its middle 30 mm along x takes mu times both normal forces."""
     L, mu = 20.0, 0.1
     model = body([(4, 4, 2)], box(20.0, L, 10.0, origin=(-10.0, 0.0, 0.0)))
     pull = Hold(slab(1, L / 2), (way * 30.0, 0.0, 0.0), (True, False, False))
@@ -92,7 +92,7 @@ def test_a_dragged_block_slips_on_both_plates(way):
 
 
 def test_friction_hill():
-    """Pressure rises from the edge of a thin strip as the slab method says.
+    """Pressure rises from the edge of a thin strip as in the slab method.
 
     A strip of half width w and height h is squeezed by d, plane strain along z. With
     the stress s_x averaged over the height, h s_x' = 2 mu p (von Karman 1925; Siebel
@@ -122,7 +122,7 @@ def test_friction_hill():
     assert force == pytest.approx(exact, rel=0.03)
 
 
-def test_more_steps_change_little():
+def test_travel_converges_with_load_steps():
     model = body([(3, 3, 3)], box(200.0, 150.0, 100.0, origin=(-100.0, 0.0, 0.0)))
     c = {Tissue.FAT: Constants(0.005, 0.45)}
 

@@ -1,4 +1,4 @@
-"""Plates that stand askew, bend, or move both."""
+"""Plates that are tilted or bent, or both move."""
 
 import itertools
 from dataclasses import replace
@@ -42,14 +42,14 @@ SOFT = {Tissue.FAT: Constants(0.01, 0.45, fibre_mpa=0.01)}
 
 
 def contact_forces(found: Equilibrium) -> list[tuple[FloatArray, FloatArray]]:
-    """Where the pads of the lower and the upper plate are, and what they feel, in N."""
+    """Return positions of the lower and upper pads, and the forces on them in N."""
     state = found.states[-1]
     plate_contacts = found.levels[-1].energy(state, found.stage).plate_contacts
     return [(state.x[p.nodes.index], -penalty_potential(p).force) for p in plate_contacts]
 
 
-def test_oblique_device_and_turned_body_give_the_turned_answer():
-    """Turned by -45 degrees about z, cranio-caudal becomes mediolateral oblique."""
+def test_oblique_device_and_rotated_body_give_the_rotated_solution():
+    """Rotated by -45 degrees about z, cranio-caudal becomes mediolateral oblique."""
     R = rotation((0.0, 0.0, 1.0), -45.0)
     found = []
     for Q in (np.eye(3), R):
@@ -81,7 +81,7 @@ def test_oblique_device_and_turned_body_give_the_turned_answer():
 
 
 @pytest.mark.parametrize("about", [0, 1])
-def test_two_plates_tilted_alike_are_a_turned_device(about):
+def test_two_equally_tilted_plates_are_a_rotated_device(about):
     """The planes are the same: normal R y, at the distances lower and upper times cos."""
     degrees = 5.0
     tilt = (degrees, 0.0) if about == 0 else (0.0, degrees)
@@ -103,7 +103,7 @@ def test_two_plates_tilted_alike_are_a_turned_device(about):
 
 
 @pytest.mark.parametrize("edge", [None, 4.0])
-def test_plates_and_wall_leave_neither_force_nor_moment(edge):
+def test_plates_and_wall_balance_force_and_moment(edge):
     device = Device(lower=Plate((2.0, -3.0)), upper=Plate((-4.0, 6.0), (0.01, 0.02)), edge_mm=edge)
     model = body([(4, 4, 4)], box(12.0, 10.0, 10.0, origin=(-6.0, 0.0, 0.0)), jitter=0.2)
     problem = Problem(SOFT, ForceControl(0.3, -1, 11, device), wall=CLAMPED, tolerance_mm=1e-7)
@@ -148,7 +148,7 @@ def test_small_tilt_bends_the_block():
     assert abs((4 * fine - coarse) / 3) < 0.01
 
 
-def test_two_moving_plates_are_one_and_a_shift():
+def test_two_moving_plates_equal_one_and_a_shift():
     model = body([(3, 3, 3)], box(12.0, 10.0, 10.0, origin=(-6.0, 0.0, 0.0)), jitter=0.2)
     found = []
     for share in (0.0, 0.5):
@@ -178,8 +178,8 @@ def test_bowed_plate_presses_by_the_volume_of_its_cap():
     assert at.plate_contacts[1].penetration.max() == pytest.approx(d, abs=1e-12)
 
 
-def test_edge_through_the_pivot_makes_one_half_of_the_cap_steeper():
-    """Behind it the curvature along z is larger by that of the rounding: half of each volume."""
+def test_edge_through_the_pivot_steepens_half_of_the_cap():
+    """Behind it the rounding adds to the curvature along z: half of each volume."""
     c1, c2, d = 0.02, 0.03, 0.5
     model = body([(40, 1, 40)], box(20.0, 5.0, 20.0, origin=(-10.0, 0.0, 0.0))).finest
     device = Device(pivot_mm=(0.0, 0.0, 10.0), upper=Plate(bow_per_mm=(c1, c2)), edge_mm=10.0)
@@ -192,7 +192,7 @@ def test_edge_through_the_pivot_makes_one_half_of_the_cap_steeper():
 
 
 def flat_skin(spacing_mm: float, rows: int) -> tuple[FloatArray, ContactNodes]:
-    """The lower face of a body, in squares of two triangles each: nodes (n, 3) and contact."""
+    """Return the lower face of a body, in squares of two triangles: nodes (n, 3) and contact."""
     i, j = np.meshgrid(np.arange(rows), np.arange(rows), indexing="ij")
     nodes = spacing_mm * np.stack([i, np.zeros_like(i), j], axis=2).reshape(-1, 3).astype(float)
     first = (i * rows + j)[:-1, :-1].ravel()
@@ -204,10 +204,10 @@ def flat_skin(spacing_mm: float, rows: int) -> tuple[FloatArray, ContactNodes]:
     return nodes, ContactNodes(index, of_nodes, ContactFaces(faces, stiffness))
 
 
-def test_a_plate_presses_as_far_as_its_edge_wherever_rows_of_nodes_lie():
+def test_contact_at_an_edge_is_independent_of_rows_of_nodes():
     """Skin at a depth d inside a plate touches its rounding until that has risen by d: the
-    force is the penalty times d w + (2 d / 3) sqrt(2 R d) a length, with the width w in front
-    of the edge. Nodes alone let go of it row by row; of the width 1.6 mm are off."""
+    force is the penalty times d w + (2 d / 3) sqrt(2 R d) per length, with the width w in front
+    of the edge. Nodes alone lose contact row by row, an error of 1.6 mm in the width."""
     d, spacing, rows = 0.1, 6.0, 7
     skin, nodes = flat_skin(spacing, rows)
     alone = replace(nodes, faces=NO_FACES)
@@ -224,9 +224,9 @@ def test_a_plate_presses_as_far_as_its_edge_wherever_rows_of_nodes_lie():
 
 
 def contacts_at_an_edge(by: float) -> tuple[list[PlateContact], FloatArray, float]:
-    """A rough body between askew plates with an edge, moved by a part of a random motion.
+    """Return contacts of a rough body, moved by part of a random motion, and edged, tilted plates.
 
-    Returns the contacts, the motion of the contact nodes, and the travel that goes with it.
+    Also return the motion of the contact nodes and the corresponding travel.
     """
     device = Device(upper=Plate((2.0, -3.0), (-0.01, -0.02)), edge_mm=4.0)
     model = body([(3, 3, 6)], box(12.0, 10.0, 10.0, origin=(-6.0, 0.0, 0.0)), jitter=0.2).finest
@@ -239,7 +239,7 @@ def contacts_at_an_edge(by: float) -> tuple[list[PlateContact], FloatArray, floa
 
 
 def stiffness_times(contact: PlateContact, moved: FloatArray, *, convex: bool) -> FloatArray:
-    """The stiffness of nodes and of the faces at the edge times a motion, both (c, 3)."""
+    """Return the stiffness of nodes and of faces at the edge times a motion, both (c, 3)."""
     own = penalty_potential(contact).stiffness
     if convex:
         own = own - edge_stiffness(contact)
@@ -250,7 +250,7 @@ def stiffness_times(contact: PlateContact, moved: FloatArray, *, convex: bool) -
     return force
 
 
-def test_force_at_an_edge_is_the_slope_of_its_energy():
+def test_force_at_an_edge_is_the_derivative_of_its_energy():
     def potential(by: float) -> ContactPotential:
         lower, upper = contacts_at_an_edge(by)[0]
         return penalty_potential(lower) + penalty_potential(upper)
@@ -268,8 +268,8 @@ def test_force_at_an_edge_is_the_slope_of_its_energy():
     assert (more.travel_force - less.travel_force) / (2 * h) == pytest.approx(on_plate, rel=1e-6)
 
 
-def test_normal_force_at_an_edge_changes_as_it_is_said_to():
-    """Friction asks for it."""
+def test_normal_force_change_at_an_edge():
+    """Friction needs this derivative."""
     h = 1e-5
     contacts, moved, travel = contacts_at_an_edge(0.0)
     pairs = zip(contacts_at_an_edge(h)[0], contacts_at_an_edge(-h)[0], strict=True)
@@ -279,9 +279,9 @@ def test_normal_force_at_an_edge_changes_as_it_is_said_to():
         assert found == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
-def test_all_but_what_the_edge_adds_is_convex():
-    """What Newton's method leaves out far from equilibrium is all that may turn a plate's
-    tangent indefinite, the plate's own travel included."""
+def test_contact_without_edge_terms_is_convex():
+    """The terms that Newton's method omits far from equilibrium are all that may make a plate's
+    tangent indefinite, including the plate's own travel."""
     contact, moved, _ = contacts_at_an_edge(0.0)
     lower = contact[1]
     c = len(moved)
@@ -297,7 +297,7 @@ def test_all_but_what_the_edge_adds_is_convex():
     assert np.linalg.eigvalsh(rest)[0] > -1e-9 * np.abs(whole).max()
 
 
-def test_a_body_yields_smoothly_as_the_edge_recedes():
+def test_body_yields_smoothly_as_the_edge_recedes():
     """From no edge at all, over rows of nodes 4 mm apart."""
     model = body([(3, 4, 3), (6, 8, 6)], box(24.0, 32.0, 24.0, origin=(-12.0, 0.0, 0.0)))
     constants = {Tissue.FAT: Constants(0.01, 0.49)}
@@ -313,7 +313,7 @@ def test_a_body_yields_smoothly_as_the_edge_recedes():
 
 
 def bowed_top(bow: tuple[float, float], size: tuple[float, float, float]) -> Shape:
-    """A block whose upper face lies bow_1 x^2 / 2 + bow_2 z^2 / 2 higher."""
+    """Return a block whose upper face is raised by bow_1 x^2 / 2 + bow_2 z^2 / 2."""
     flat = box(*size, origin=(-size[0] / 2, 0.0, 0.0))
 
     def shape(unit: FloatArray) -> FloatArray:
@@ -325,8 +325,8 @@ def bowed_top(bow: tuple[float, float], size: tuple[float, float, float]) -> Sha
     return shape
 
 
-def test_bowed_plate_is_a_flat_plate_on_a_bowed_body():
-    """For small strains only the distance between body and plate counts."""
+def test_bowed_plate_equals_a_flat_plate_on_a_bowed_body():
+    """For small strains only the distance between body and plate matters."""
     size, bow = (12.0, 10.0, 8.0), (0.004, 0.002)
     pressed = 9.8
     c = {Tissue.FAT: Constants(0.001, 0.4)}
@@ -348,8 +348,8 @@ def test_bowed_plate_is_a_flat_plate_on_a_bowed_body():
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 @pytest.mark.parametrize("force_n", [0.001, 0.03, 0.3])
-def test_a_body_that_just_touches_the_plate_that_stands_still(force_n, share):
-    """Nothing but the plate that moves presses at first. Small strains: E A d / L."""
+def test_body_that_just_touches_the_fixed_plate(force_n, share):
+    """Only the moving plate presses at first. Small strains: E A d / L."""
     E, side = 0.01, 20.0
     model = body([(4, 4, 4)], box(side, side, side, origin=(-10.0, 0.0, 0.0)), jitter=0.1)
     load = ForceControl(force_n, 0.0, side, Device(lower_share=share))

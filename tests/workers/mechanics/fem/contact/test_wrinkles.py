@@ -1,4 +1,4 @@
-"""A sheet alone: taut, wrinkled along its greater stretch, or slack.
+"""A sheet alone: taut, wrinkled along its larger stretch, or slack.
 
 ::
 
@@ -30,18 +30,18 @@ STRETCHES = {"taut": (1.4, 0.95), "wrinkled": (1.4, 0.6), "slack": (0.95, 0.8)}
 
 
 def square() -> Sheet:
-    """2 mm by 3 mm."""
+    """Return a sheet of 2 mm by 3 mm."""
     return sheet_of(SQUARE, HALVES)
 
 
 def turned(seed: int) -> np.ndarray:
-    """A rotation, shape (3, 3)."""
+    """Return a random rotation, shape (3, 3)."""
     Q, _ = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))
     return Q * np.linalg.det(Q)
 
 
 def stretched(l1: float, l2: float, angle: float = 0.0, seed: int | None = None) -> np.ndarray:
-    """The square, stretched by l1 along `angle` and by l2 across, then turned in space."""
+    """Stretch the square by l1 along `angle` and by l2 across, then rotate it in space."""
     c, s = np.cos(angle), np.sin(angle)
     R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     x = SQUARE @ (R @ np.diag([l1, l2, 1.0]) @ R.T).T
@@ -53,7 +53,7 @@ def energy(x: np.ndarray, wrinkles: bool = True) -> float:
 
 
 def derivatives(x: np.ndarray, wrinkles: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Force, (4, 3), and dense tangent, (12, 12)."""
+    """Return the force, (4, 3), and the dense tangent, (12, 12)."""
     force, K = np.zeros_like(x), np.zeros((16, 9), np.float32)
     edge = (4 * HALVES[:, :, None] + HALVES[:, None, :]).astype(np.int32)
     sheet_assemble(x, *square().arrays, STIFFNESS, wrinkles, edge, force, K)
@@ -73,12 +73,12 @@ def taut_density(l1: float, l2: float) -> float:
 
 
 def strip_density(l: float) -> float:
-    """A strip pulled along its length, its width its own."""
+    """Return the energy density of a strip pulled along its length, with free width."""
     return STIFFNESS / 2 * (l**2 + 2 / l - 3)
 
 
 def strip_tension(l: float) -> float:
-    """N per mm of undeformed width."""
+    """Return the tension in N per mm of undeformed width."""
     return STIFFNESS * (l - l**-2)
 
 
@@ -87,14 +87,14 @@ def strip_tension(l: float) -> float:
     [("taut", taut_density(1.4, 0.95)), ("wrinkled", strip_density(1.4)), ("slack", 0.0)],
 )
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.2, np.pi / 2])
-def test_energy_is_the_closed_form_however_the_sheet_lies(name, density, angle):
+def test_energy_is_the_closed_form_in_any_orientation(name, density, angle):
     x = stretched(*STRETCHES[name], angle, seed=5)
     assert energy(x) == pytest.approx(6 * density, rel=1e-12, abs=1e-15)
 
 
 @pytest.mark.parametrize("l1", [0.7, 0.95, 1.05, 1.3, 2.0])
 @pytest.mark.parametrize("l2", [0.3, 0.6, 0.9, 1.1, 1.5])
-def test_energy_is_the_least_of_all_sheets_that_could_fold_into_this_one(l1, l2):
+def test_energy_is_the_minimum_over_all_folds(l1, l2):
     """Folds only shorten: the least of W(a, b) over a >= l1 and b >= l2 (Pipkin 1986)."""
     found = minimize(
         lambda l: taut_density(*l),
@@ -125,8 +125,8 @@ def test_force_and_tangent_are_derivatives(name, wrinkles):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_no_direction_has_negative_stiffness(seed):
-    """W is convex in the positions; a sheet that cannot wrinkle is not."""
+def test_tangent_is_positive_semidefinite(seed):
+    """W is convex in the positions, except for a sheet that cannot wrinkle."""
     rng = np.random.default_rng(seed)
     x = SQUARE * rng.uniform(0.4, 1.6) + rng.uniform(-0.6, 0.6, (4, 3))
     force, tangent = derivatives(x)
@@ -135,7 +135,7 @@ def test_no_direction_has_negative_stiffness(seed):
     assert energy(y) >= energy(x) + np.vdot(force, y - x) - 1e-12
 
 
-def test_a_sheet_that_cannot_wrinkle_buckles_when_compressed():
+def test_sheet_without_wrinkles_buckles_when_compressed():
     _, tangent = derivatives(stretched(*STRETCHES["slack"]), wrinkles=False)
     assert np.linalg.eigvalsh(tangent).min() < -0.1 * STIFFNESS
 
@@ -148,7 +148,7 @@ def test_a_sheet_that_cannot_wrinkle_buckles_when_compressed():
         pytest.param((1.0, 1.0), (1.0, 1.0), id="taut to slack"),
     ],
 )
-def test_energy_and_force_are_continuous_across_borders_and_the_tangent_is_not(border, across):
+def test_energy_and_force_but_not_the_tangent_are_continuous(border, across):
     border, across = np.array(border), np.array(across)
     jumps = []
     for h in (1e-3, 1e-5):
@@ -165,7 +165,7 @@ def test_energy_and_force_are_continuous_across_borders_and_the_tangent_is_not(b
 
 @pytest.mark.parametrize("narrowed", [1.0, 0.8, 0.3, 0.0])
 @pytest.mark.parametrize(("along", "end", "width"), [(0, [1, 2], 3), (1, [2, 3], 2)])
-def test_a_strip_no_wider_than_it_would_be_pulls_as_if_it_were_free(along, end, width, narrowed):
+def test_strip_narrower_than_its_free_width_pulls_like_a_free_one(along, end, width, narrowed):
     """mu t (l - l^-2) along, nothing across; narrowed to a line it is still a strip."""
     l = 1.5
     x = SQUARE * np.where(np.arange(3) == along, l, narrowed * l**-0.5)
@@ -176,7 +176,7 @@ def test_a_strip_no_wider_than_it_would_be_pulls_as_if_it_were_free(along, end, 
 
 
 @pytest.mark.parametrize("shear", [0.1, 0.5, 1.5])
-def test_a_sheared_strip_is_a_diagonal_tension_field(shear):
+def test_sheared_strip_is_a_diagonal_tension_field(shear):
     """Between rails at constant distance, x += g y: l1 l2 = 1, so it wrinkles at any g.
 
     With l1 - 1/l1 = g, a rail carries mu t (l1 - l1^-2) dl1/dg a mm, and as l1 is the
@@ -193,7 +193,7 @@ def test_a_sheared_strip_is_a_diagonal_tension_field(shear):
     assert force[1] == pytest.approx(2 * drawn, rel=1e-12)
 
 
-def test_a_slack_sheet_is_not_there():
+def test_slack_sheet_has_no_force_or_energy():
     x = stretched(*STRETCHES["slack"], 0.3, seed=2)
     force, tangent = derivatives(x)
     assert energy(x) == 0
@@ -201,7 +201,7 @@ def test_a_slack_sheet_is_not_there():
     assert not tangent.any()
 
 
-def test_a_taut_sheet_does_not_know_that_it_could_wrinkle():
+def test_wrinkling_does_not_affect_a_taut_sheet():
     x = stretched(*STRETCHES["taut"], 0.3, seed=2)
     assert energy(x) == energy(x, wrinkles=False)
     for a, b in zip(derivatives(x), derivatives(x, wrinkles=False), strict=True):
@@ -209,8 +209,8 @@ def test_a_taut_sheet_does_not_know_that_it_could_wrinkle():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_sheet_at_rest_is_taut_wherever_it_lies(seed):
-    """Rounding must not choose one of the three regimes that meet there."""
+def test_sheet_at_rest_is_taut_in_any_position(seed):
+    """Rounding must not select among the three regimes that meet there."""
     x = SQUARE @ turned(seed).T + [30.0, -40.0, 50.0]
     _, tangent = derivatives(x)
     np.testing.assert_array_equal(tangent, derivatives(x, wrinkles=False)[1])

@@ -87,7 +87,7 @@ def moved(state: State, h: float, direction: np.ndarray, travel: float = 0.0) ->
 
 
 def times(level: Level, tangent: Tangent, v: np.ndarray) -> np.ndarray:
-    """The tangent times `v`, (n, 3), without the travel of the plates."""
+    """Return the tangent times `v`, (n, 3), without the travel of the plates."""
     g = level.model.graph
     matrix = g.start.view(np.uint32), g.neighbour.view(np.uint32), tangent.rows
     x, y = np.zeros((2, len(v), 4))
@@ -137,7 +137,7 @@ def test_tangent_is_the_derivative_of_the_force(model, kind):
 
 @pytest.mark.parametrize("height", [0.45, 0.5, 0.55])
 @pytest.mark.parametrize("kind", ["nodal volume", "plain", "another law", "two families", "skin"])
-def test_barrier_has_force_and_tangent_of_its_energy(model, kind, height):
+def test_barrier_force_and_tangent_are_derivatives(model, kind, height):
     """Elements of a flattened block are on both sides of the volume where the barrier begins."""
     level, stage, history = level_with(model, kind)
     level = level.with_barrier()
@@ -162,7 +162,7 @@ def test_barrier_has_force_and_tangent_of_its_energy(model, kind, height):
 
 
 @pytest.mark.parametrize("kind", ["nodal volume", "another law"])
-def test_barrier_is_as_written(model, kind):
+def test_barrier_energy_is_the_formula(model, kind):
     """W = 100 mu (1 - 2 J)^3 in a block of 0.4 of its volume."""
     level, stage, history = level_with(model, kind)
     constants = level.problem.constants[Tissue.FAT]
@@ -182,7 +182,7 @@ def test_barrier_of_shrunken_tissue_begins_below_its_own_volume(model):
 @pytest.mark.parametrize(
     "kind", ["nodal volume", "stiffening", "isochoric fibre", "two families", "tilted fibre"]
 )
-def test_positive_tangent_is_never_negative(model, kind):
+def test_positive_tangent_has_no_negative_eigenvalue(model, kind):
     level, stage, history = level_with(model, kind)
     level = level.with_barrier()
     x = model.nodes * [1.5, 1.3, 0.4]
@@ -201,7 +201,7 @@ def test_positive_tangent_is_never_negative(model, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_dense_tangent_is_the_sparse_one(model, kind):
+def test_dense_tangent_equals_the_sparse_one(model, kind):
     level, stage, history = level_with(model, kind)
     state = State(model.nodes * [1.1, 0.8, 1.05], 0.2, history)
     _, t = level.linearise(state, level.energy(state, stage), stage)
@@ -213,7 +213,7 @@ def test_dense_tangent_is_the_sparse_one(model, kind):
     np.testing.assert_allclose(A @ v.ravel(), product.ravel(), atol=1e-9 * np.abs(product).max())
 
 
-def test_a_turned_body_stores_nothing(model):
+def test_rotated_body_has_no_energy(model):
     level = loose_level(model, FAT)
     c, s = np.cos(0.7), np.sin(0.7)
     turned = model.nodes @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) + [3, -2, 1]
@@ -223,14 +223,14 @@ def test_a_turned_body_stores_nothing(model):
     assert np.abs(level.force(state, at, OPEN)).max() < 1e-12
 
 
-def test_an_inverted_element_has_finite_energy(model):
+def test_inverted_element_has_finite_energy(model):
     level = loose_level(model, FAT)
     x = model.nodes.copy()
     x[13] += 12.0
     assert np.isfinite(level.energy(State(x, 0.0), OPEN).potential)
 
 
-def test_stretched_sheet_stores_the_closed_form():
+def test_stretched_sheet_has_the_closed_form_energy():
     """W = mu t A / 2 (l1^2 + l2^2 + 1 / (l1 l2)^2 - 3) for an incompressible sheet."""
     nodes = np.array([[0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]], float)
     sheet = membrane.sheet_of(nodes, np.array([[0, 1, 2], [0, 2, 3]], np.int32))

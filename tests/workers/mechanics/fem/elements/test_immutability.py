@@ -1,4 +1,4 @@
-"""Nothing that is computed leaves a trace in a level: results do not depend on earlier work."""
+"""Levels are immutable: results do not depend on earlier computations."""
 
 from dataclasses import FrozenInstanceError, fields, replace
 
@@ -50,7 +50,7 @@ def stiffer(problem: Problem, factor: float) -> Problem:
 
 
 def other_work(at: Equilibrium) -> None:
-    """Tangents by another parameter and from another start, and a neighbour's equilibrium."""
+    """Compute tangents by another parameter and start, and a neighbour's equilibrium."""
     problem = at.problem
     gravity = Change(replace(problem, gravity_g=(0.0, 0.01, 0.0)), problem, 0.01)
     tangents(at, [gravity])
@@ -61,8 +61,8 @@ def other_work(at: Equilibrium) -> None:
 
 
 @pytest.mark.parametrize("kind", PROBLEMS)
-def test_a_tangent_does_not_depend_on_what_was_computed_before(model, kind):
-    """Bit for bit: the power iteration of the smoother starts from the same vector."""
+def test_tangent_does_not_depend_on_earlier_computations(model, kind):
+    """Results are bit-identical: the smoother's power iteration starts from the same vector."""
     problem = PROBLEMS[kind]
     at = equilibrium(model, problem)
     assert at.solution.outcome.converged, at.solution.outcome.reason
@@ -74,14 +74,14 @@ def test_a_tangent_does_not_depend_on_what_was_computed_before(model, kind):
 
 
 @pytest.mark.parametrize("name", [f.name for f in fields(Level)] + ["grips"])
-def test_no_attribute_of_a_level_can_be_assigned(model, name):
+def test_attributes_of_a_level_cannot_be_assigned(model, name):
     level = Level.build(model.finest, PROBLEMS["friction"])
     with pytest.raises(FrozenInstanceError):
         setattr(level, name, getattr(level, name, None))
 
 
-def test_a_step_returns_a_state_and_leaves_the_one_before(model):
-    """Friction and follower pressure stand in the history that comes back."""
+def test_step_returns_a_new_state(model):
+    """Friction and follower pressure are in the returned history."""
     problem = replace(PROBLEMS["friction"], pressures=(Pressure(1e-4),))
     level = Level.build(model.finest, problem)
     stage = equilibrium(model, pressed(0.3)).stage

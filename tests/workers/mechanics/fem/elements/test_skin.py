@@ -23,7 +23,7 @@ SHEET = SKIN.young_mpa / 3 * SKIN.thickness_mm
 
 
 def energy_per_area(l1: float, l2: float) -> float:
-    """Taut, wrinkled or slack (Pipkin 1986), in mJ/mm^2."""
+    """Return the energy of a taut, wrinkled or slack sheet (Pipkin 1986), in mJ/mm^2."""
     l1, l2 = max(l1, l2), min(l1, l2)
     if l2 >= l1**-0.5:
         return SHEET / 2 * (l1**2 + l2**2 + (l1 * l2) ** -2 - 3)
@@ -39,7 +39,7 @@ def energy_per_area(l1: float, l2: float) -> float:
         pytest.param(0.8, 0.9, (0, 0), id="slack"),
     ],
 )
-def test_sheet_and_body_add_up(lx, ly, tension):
+def test_stresses_of_sheet_and_body_add_up(lx, ly, tension):
     """Stretched along x and y, free along z, with skin on the face z = max.
 
     The body carries P(lx, ly, lz) with P_z = 0. The sheet carries, in mu t, lx - lx^-3 ly^-2
@@ -81,7 +81,7 @@ def test_sheet_and_body_add_up(lx, ly, tension):
 
 @pytest.mark.parametrize("l", [(1.2, 0.9, 1.1), (0.95, 0.9, 1.1)], ids=["no slack face", "slack"])
 def test_energy_of_a_covered_body_is_the_sum_over_its_faces(l):
-    """Affine deformation: each face but the wall stores its own."""
+    """Affine deformation: each face except the wall has its own energy."""
     model = body([(2, 2, 2)], box(*SIZE)).finest
     c = {Tissue.FAT: Constants(0.02, 0.4)}
     stage = Stage(None, None, 1.0, Device())

@@ -1,4 +1,4 @@
-"""Bodies whose elements collapse: stiff glands press on soft fat."""
+"""Bodies whose elements collapse: stiff glands pressing on soft fat."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ FORCE_N = 350.0
 
 @pytest.fixture(scope="module")
 def breast() -> tuple[Model, Problem]:
-    """A breast with glands forty times as stiff as its fat."""
+    """Return a breast with glands forty times as stiff as its fat."""
     case = validated(
         BreastCase,
         {
@@ -61,15 +61,15 @@ def test_without_a_barrier_the_reason_names_the_collapsed_tissue(breast):
     assert "elements, most of them fat, are squeezed to less than 0.3" in outcome.reason
 
 
-def test_a_collapse_is_noticed_before_the_iterations_run_out(breast):
-    """Nothing is tried in more stages, and no more steps are taken than an answer may need."""
+def test_collapse_is_detected_before_the_iterations_run_out(breast):
+    """No schedule with more stages is tried, and no further steps are taken."""
     path = ordinary(*breast).from_rest([History() for _ in breast[0]])
     assert path.stage.fraction == 1
     assert path.results[-1].iterations < 25
     assert "elements collapse" in path.reason
 
 
-def test_residuals_that_rise_far_from_equilibrium_are_no_collapse():
+def test_rising_residuals_far_from_equilibrium_are_not_a_collapse():
     """A corner of the demo's bounds: the residual rises for seven iterations, then converges."""
     case = validated(
         BreastCase,
@@ -89,13 +89,13 @@ def test_residuals_that_rise_far_from_equilibrium_are_no_collapse():
     assert found.levels[-1].barrier is None
 
 
-def test_a_problem_that_may_not_restart_is_solved_to_its_last_iteration(breast):
+def test_problem_without_restarts_uses_all_iterations(breast):
     model, problem = breast
     outcome = solve(model, replace(problem, restarts=False)).outcome
     assert "60 Newton iterations" in outcome.reason
 
 
-def test_a_body_that_collapses_is_solved_with_the_barrier(found):
+def test_collapsing_body_is_solved_with_the_barrier(found):
     outcome = found.solution.outcome
     assert outcome.converged, outcome.reason
     assert all(level.barrier is not None for level in found.levels)
@@ -104,7 +104,7 @@ def test_a_body_that_collapses_is_solved_with_the_barrier(found):
     assert outcome.residual_n < 1e-3 * FORCE_N
 
 
-def test_a_neighbour_of_such_a_body_keeps_the_barrier(breast, found):
+def test_neighbour_of_a_collapsing_body_keeps_the_barrier(breast, found):
     again = equilibrium(*breast, found)
     assert again.levels[-1].barrier is not None
     moved = again.solution.displacement_mm - found.solution.displacement_mm
@@ -112,7 +112,7 @@ def test_a_neighbour_of_such_a_body_keeps_the_barrier(breast, found):
 
 
 @pytest.mark.parametrize(("force_n", "squeezed"), [(100.0, False), (300.0, True)])
-def test_answers_with_less_than_three_tenths_of_a_volume_are_flagged(force_n, squeezed):
+def test_flags_elements_below_three_tenths_of_their_volume(force_n, squeezed):
     model = body([(4, 4, 4), (8, 8, 8)], box(30, 30, 30, origin=(-15, -15, 0)), jitter=0.25)
     constants = {Tissue.FAT: Constants(0.005, 0.49, 0.02)}
     wall = Wall((True, True, True))

@@ -1,4 +1,4 @@
-"""What is called converged is in equilibrium, whatever constants and loads are."""
+"""Converged solutions are in equilibrium, whatever the constants and loads."""
 
 from dataclasses import replace
 
@@ -18,14 +18,14 @@ MODEL = body([(2, 2, 2), (4, 4, 4)], box(30.0, 30.0, 30.0, origin=(-15.0, -15.0,
 
 
 def pressed(young_kpa: float, force_n: float, fibre_kpa: float = 0.0) -> Equilibrium:
-    """A block between plates."""
+    """Return the equilibrium of a block between plates."""
     constants = {Tissue.FAT: Constants(young_kpa / 1e3, 0.49, fibre_mpa=fibre_kpa / 1e3)}
     load = ForceControl(force_n, -15.0, 15.0)
     return equilibrium(MODEL, Problem(constants, load, wall=CLAMPED))
 
 
 def errors_n(found: Equilibrium) -> tuple[float, float]:
-    """Out-of-balance force, and what the plates lack, of a level that is made anew."""
+    """Return the out-of-balance force and the missing plate force, from a new level."""
     level = Level.build(MODEL.finest, found.problem)
     state = found.states[-1]
     at = level.energy(state, found.stage)
@@ -34,20 +34,20 @@ def errors_n(found: Equilibrium) -> tuple[float, float]:
     return float(np.linalg.norm(left)), abs(missing)
 
 
-def test_an_ordinary_block_converges() -> None:
+def test_ordinary_block_converges() -> None:
     found = pressed(10.0, 3.0, 20.0)
     assert found.solution.outcome.converged, found.solution.outcome.reason
     assert max(errors_n(found)) < LARGEST_SHARE * 3.0
 
 
 @pytest.mark.parametrize("young_kpa", [1e9, 1e11])
-def test_a_stiff_block_whose_steps_are_short_is_solved_on_to_balance(young_kpa: float) -> None:
+def test_stiff_block_with_short_steps_is_solved_to_balance(young_kpa: float) -> None:
     found = pressed(young_kpa, 1.0)
     assert found.solution.outcome.converged, found.solution.outcome.reason
     assert max(errors_n(found)) < LARGEST_SHARE * 1.0
 
 
-def test_a_neighbour_of_a_stiff_block_is_solved_on_too() -> None:
+def test_neighbour_of_a_stiff_block_is_solved_to_balance() -> None:
     near = pressed(1e9, 1.0)
     problem = replace(near.problem, load=ForceControl(1.2, -15.0, 15.0))
     found = equilibrium(MODEL, problem, near)
@@ -55,7 +55,7 @@ def test_a_neighbour_of_a_stiff_block_is_solved_on_too() -> None:
     assert max(errors_n(found)) < LARGEST_SHARE * 1.2
 
 
-def test_what_rounding_leaves_out_of_balance_is_not_called_converged() -> None:
+def test_imbalance_due_to_rounding_is_not_converged() -> None:
     found = pressed(1e15, 1.0)
     outcome = found.solution.outcome
     assert max(errors_n(found)) > LARGEST_SHARE * 1.0
@@ -64,7 +64,7 @@ def test_what_rounding_leaves_out_of_balance_is_not_called_converged() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_all_that_is_done_is_in_equilibrium(seed: int) -> None:
+def test_every_converged_solution_is_in_equilibrium(seed: int) -> None:
     rng = np.random.default_rng(seed)
     done = 0
     for _ in range(12):
@@ -79,7 +79,7 @@ def test_all_that_is_done_is_in_equilibrium(seed: int) -> None:
     assert done
 
 
-def test_plates_at_a_distance_are_judged_by_what_they_feel() -> None:
+def test_plates_at_a_distance_are_compared_with_their_forces() -> None:
     constants = {Tissue.FAT: Constants(0.01, 0.49)}
     problem = Problem(constants, DistanceControl(-13.0, 13.0), wall=CLAMPED)
     found = equilibrium(MODEL, problem)
@@ -87,7 +87,7 @@ def test_plates_at_a_distance_are_judged_by_what_they_feel() -> None:
     assert errors_n(found)[0] < LARGEST_SHARE * found.solution.outcome.plate_force_n
 
 
-def test_a_body_that_nothing_loads_converges() -> None:
+def test_unloaded_body_converges() -> None:
     constants = {Tissue.FAT: Constants(0.01, 0.49)}
     found = equilibrium(MODEL, Problem(constants, DistanceControl(-20.0, 20.0), wall=CLAMPED))
     assert found.solution.outcome.converged

@@ -1,4 +1,4 @@
-"""The stress that is reported is the stress whose forces the solver balances."""
+"""Reported stresses agree with the forces balanced by the solver."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def level_of(plain: bool = False, **constants: object) -> Level:
 
 
 def stirred(size: float) -> FloatArray:
-    """Positions that no equilibrium has."""
+    """Return random positions, out of equilibrium."""
     rng = np.random.default_rng(3)
     return MODEL.finest.nodes + rng.uniform(-size, size, MODEL.finest.nodes.shape)
 
@@ -53,7 +53,7 @@ def nodal_forces(level: Level, piola_mpa: FloatArray) -> FloatArray:
     ],
 )
 @pytest.mark.parametrize("height", [1.0, 0.5])
-def test_it_makes_the_forces_of_the_solver(
+def test_stress_reproduces_the_forces_of_the_solver(
     plain: bool, constants: dict[str, object], height: float
 ) -> None:
     level = level_of(plain, **constants).with_barrier()
@@ -64,7 +64,7 @@ def test_it_makes_the_forces_of_the_solver(
     np.testing.assert_allclose(found, internal, atol=1e-9 * np.abs(internal).max())
 
 
-def test_a_stretched_block_has_the_stress_on_paper() -> None:
+def test_stretched_block_has_the_analytic_stress() -> None:
     level, stretch = level_of(), np.array([1.3, 0.9, 0.8])
     fields = element_fields(level, MODEL.finest.nodes * stretch)
     J = stretch.prod()

@@ -1,4 +1,4 @@
-"""The same equilibrium by other ways: in stages, and from a neighbour's."""
+"""The same equilibrium by other paths: in stages, and from a neighbour."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,7 +44,7 @@ def pressed(friction: float = 0.0, tilt_deg: float = 0.0) -> Problem:
 
 @pytest.mark.parametrize("load", [ForceControl(0.3, 0.0, 10.0), DistanceControl(0.0, 8.0)])
 @pytest.mark.parametrize("route", [1, 2])
-def test_more_stages_lead_to_the_same_place(model, monkeypatch, load, route):
+def test_more_stages_give_the_same_solution(model, monkeypatch, load, route):
     problem = replace(pressed(), load=load)
     direct = solve(model, problem)
     monkeypatch.setattr(load_stepping, "load_schedules", _schedules_from(route))
@@ -53,8 +53,8 @@ def test_more_stages_lead_to_the_same_place(model, monkeypatch, load, route):
     np.testing.assert_allclose(staged.displacement_mm, direct.displacement_mm, atol=1e-5)
 
 
-def test_a_way_that_fails_is_followed_by_one_of_more_stages(model, monkeypatch):
-    """The direct way is made to fail on the finest mesh; the next one is taken."""
+def test_failed_schedule_is_followed_by_more_stages(model, monkeypatch):
+    """The direct schedule is made to fail on the finest mesh; the next one is used."""
     tried: list[float] = []
 
     def stubborn(level, start, stage, *rest):
@@ -75,8 +75,8 @@ def test_a_way_that_fails_is_followed_by_one_of_more_stages(model, monkeypatch):
 
 
 @pytest.mark.parametrize(("near", "wanted"), [(0.3, 0.35), (0.3, 0.3), (0.0, 0.3)])
-def test_a_neighbour_leads_to_the_same_place_with_friction(model, near, wanted):
-    """Friction is not lost on the way, and its path is followed anew."""
+def test_neighbour_gives_the_same_solution_with_friction(model, near, wanted):
+    """Friction is kept, and its path is followed again."""
     start = equilibrium(model, pressed(near))
     continued = equilibrium(model, pressed(wanted, tilt_deg=1.0), start).solution
     rested = solve(model, pressed(wanted, tilt_deg=1.0))
@@ -87,8 +87,8 @@ def test_a_neighbour_leads_to_the_same_place_with_friction(model, near, wanted):
     assert np.abs(free.displacement_mm - rested.displacement_mm).max() > 0.05
 
 
-def test_an_expected_motion_saves_iterations_and_changes_nothing(model):
-    """Half a degree of tilt along its tangent; a motion that is absurd is not followed."""
+def test_expected_motion_saves_iterations_only(model):
+    """Half a degree of tilt along its tangent; an absurd motion is ignored."""
     start = equilibrium(model, pressed(tilt_deg=1.0))
     wanted = pressed(tilt_deg=1.5)
     change = Change(pressed(tilt_deg=1.01), pressed(tilt_deg=0.99), 0.02)
@@ -102,7 +102,7 @@ def test_an_expected_motion_saves_iterations_and_changes_nothing(model):
     np.testing.assert_allclose(absurd.displacement_mm, plain.displacement_mm, atol=1e-9)
 
 
-def test_with_steps_of_friction_no_motion_is_expected(model):
+def test_expected_motion_is_ignored_with_friction_steps(model):
     start = equilibrium(model, pressed(0.3))
     assert start.expecting(np.ones_like(start.states[-1].x)) is start
 
@@ -110,10 +110,8 @@ def test_with_steps_of_friction_no_motion_is_expected(model):
 @pytest.mark.parametrize(
     ("near", "wanted", "route"), [(0.3, 0.35, 1), (0.0, 0.0, 1), (0.3, 0.35, 2)]
 )
-def test_a_neighbour_that_needed_more_stages_is_followed_through_them(
-    model, monkeypatch, near, wanted, route
-):
-    """What its direct way could not do, that of a similar body hardly can."""
+def test_stages_of_a_neighbour_are_reused(model, monkeypatch, near, wanted, route):
+    """If its direct schedule failed, a similar body's would hardly succeed."""
     problem = replace(pressed(wanted, tilt_deg=1.0), tolerance_mm=2e-3)
     neighbour = replace(pressed(near), tolerance_mm=2e-3)
     with monkeypatch.context() as patch:
@@ -128,7 +126,7 @@ def test_a_neighbour_that_needed_more_stages_is_followed_through_them(
     assert np.abs(apart).max() < 5e-3
 
 
-def test_a_neighbour_saves_newton_iterations(model):
+def test_neighbour_saves_newton_iterations(model):
     start = equilibrium(model, pressed())
     near = replace(pressed(), constants={Tissue.FAT: Constants(0.0105, 0.49, 0.03)})
     continued, rested = equilibrium(model, near, start).solution, solve(model, near)
@@ -136,8 +134,8 @@ def test_a_neighbour_saves_newton_iterations(model):
     assert sum(continued.outcome.newton_iterations) < sum(rested.outcome.newton_iterations)
 
 
-def test_what_a_neighbour_does_not_lead_to_is_given_up_without_restarts(model, monkeypatch):
-    """Continuing is cut short; from rest the same body is found."""
+def test_failure_from_a_neighbour_is_final_without_restarts(model, monkeypatch):
+    """The continuation is cut short; from rest the same body converges."""
     start = equilibrium(model, pressed())
     tilted = pressed(tilt_deg=6.0)
     direct = solve(model, tilted)

@@ -1,4 +1,4 @@
-"""The stress-free shape of a body that was imaged under gravity."""
+"""Stress-free shape of a body imaged under gravity."""
 
 from dataclasses import replace
 
@@ -27,13 +27,13 @@ def at_rest() -> Model:
 
 @pytest.fixture(scope="module")
 def imaged(at_rest) -> Model:
-    """What a camera sees of the body under gravity: every level in its own equilibrium."""
+    """Return the body as imaged under gravity: every level in its own equilibrium."""
     hanging = equilibrium(at_rest, replace(SOFT, gravity_g=G, tolerance_mm=1e-5))
     assert np.abs(hanging.solution.displacement_mm).max() > 3.0
     return reshaped(at_rest, [state.x for state in hanging.states])
 
 
-def test_without_gravity_the_body_returns_to_the_shape_it_was_made_in(at_rest, imaged):
+def test_without_gravity_the_body_returns_to_its_original_shape(at_rest, imaged):
     nearly_none = (0.0, 0.0, 1e-6)
     solution = solve(imaged, replace(SOFT, imaged_gravity_g=G, gravity_g=nearly_none))
     assert solution.outcome.converged, solution.outcome.reason
@@ -42,7 +42,7 @@ def test_without_gravity_the_body_returns_to_the_shape_it_was_made_in(at_rest, i
     assert solution.outcome.energy_mj < 1e-9
 
 
-def test_with_no_load_at_all_a_body_stays_as_it_is(at_rest):
+def test_unloaded_body_does_not_move(at_rest):
     """The out-of-balance force is rounding from the start."""
     solution = solve(at_rest, SOFT)
     assert solution.outcome.converged, solution.outcome.reason
@@ -56,8 +56,8 @@ def test_under_the_same_gravity_nothing_moves(imaged):
     assert solution.outcome.energy_mj > 0.01
 
 
-def test_turning_gravity_round_is_counted_from_the_image(at_rest, imaged):
-    """Prone to supine: the same as loading the stress-free body from the start."""
+def test_reversed_gravity_is_relative_to_the_image(at_rest, imaged):
+    """Prone to supine equals loading the stress-free body from the start."""
     back = tuple(-g for g in G)
     direct = solve(at_rest, replace(SOFT, gravity_g=back)).displacement_mm
     solution = solve(imaged, replace(SOFT, gravity_g=back, imaged_gravity_g=G))
@@ -65,9 +65,9 @@ def test_turning_gravity_round_is_counted_from_the_image(at_rest, imaged):
     np.testing.assert_allclose(solution.displacement_mm, expected, atol=2e-3)
 
 
-def test_the_tangent_knows_that_the_stress_free_shape_hangs_on_the_constants(imaged):
-    """Of a body imaged and pressed under its weight: a derivative by ln E, against differences of
-    whole solutions. With the shape held it would be off by a half."""
+def test_tangent_includes_the_change_of_the_stress_free_shape(imaged):
+    """Derivative by ln E of a body imaged and pressed under its weight, against differences of
+    full solutions. With the shape held it would be off by a half."""
     turned = tuple(-g for g in G)
 
     def problem(log_change: float) -> Problem:
@@ -84,8 +84,8 @@ def test_the_tangent_knows_that_the_stress_free_shape_hangs_on_the_constants(ima
     assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
 
 
-def test_a_shape_is_found_once_for_all_loads_of_a_body(imaged, monkeypatch):
-    """Loads have no part in it; other constants and another weight have."""
+def test_shape_is_computed_once_for_all_loads(imaged, monkeypatch):
+    """It does not depend on the loads, but on constants and weight."""
     found = []
     search = stress_free_shape._found
     monkeypatch.setattr(
@@ -101,7 +101,7 @@ def test_a_shape_is_found_once_for_all_loads_of_a_body(imaged, monkeypatch):
     assert len(found) == 3
 
 
-def test_a_body_too_soft_for_its_weight_ends_with_a_reason(at_rest):
+def test_body_too_soft_for_its_weight_fails_with_a_reason(at_rest):
     jelly = {Tissue.FAT: Constants(2e-5, 0.49)}
     problem = replace(SOFT, constants=jelly, imaged_gravity_g=(0.0, -1.0, 0.0))
     outcome = solve(at_rest, problem).outcome

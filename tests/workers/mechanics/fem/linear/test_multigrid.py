@@ -1,4 +1,4 @@
-"""The linear solvers against dense matrices."""
+"""Linear solvers against dense matrices."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ from palpate.workers.mechanics.fem.problem.loads import Device, ForceControl, Pl
 from tests.workers.mechanics.fem.blocks import cube, model_of
 
 TILTED = Device(pivot_mm=(5, 5, 5), upper=Plate(tilt_deg=(6.0, -4.0)))
-# Held along x and z at the wall: a body free to drift along x answers a small load with a large
-# displacement, and single precision would be all that is compared.
+# Held along x and z at the wall: a body free to drift along x has a large displacement under a
+# small load, and the comparison would be limited by single precision.
 PROBLEM = Problem(
     {Tissue.FAT: Constants(0.01, 0.49, 0.05)},
     ForceControl(0.3, 0.3, 9.5, TILTED),
@@ -33,14 +33,14 @@ def levels() -> list[Level]:
 
 
 def tangent_of(level: Level) -> Tangent:
-    """Of a body squeezed a little between tilted plates."""
+    """Return the tangent of a body slightly squeezed between tilted plates."""
     X = level.model.nodes
     state = State(level.with_prescribed(X * [1.02, 0.98, 1.01] + 0.02 * np.sin(X), 1.0), 0.1)
     return level.linearise(state, level.energy(state, STAGE), STAGE)[1]
 
 
 def dense_of(level: Level, t: Tangent) -> np.ndarray:
-    """K + B D B^T - c c^T / s, 1 on the diagonal where held."""
+    """Return K + B D B^T - c c^T / s, 1 on the diagonal where held."""
     g = level.model.graph
     A = dense_matrix(g.start, g.neighbour, t.rows, level.free)
     c = np.zeros(level.free.shape)
@@ -50,7 +50,7 @@ def dense_of(level: Level, t: Tangent) -> np.ndarray:
 
 
 def loads_on(level: Level, k: int) -> np.ndarray:
-    """Right-hand sides of very different sizes, shape (k, n, 3)."""
+    """Return right-hand sides of very different sizes, shape (k, n, 3)."""
     rng = np.random.default_rng(k)
     b = rng.standard_normal((k, *level.free.shape)) * level.free
     return b * 10.0 ** rng.uniform(-4, 4, (k, 1, 1))
@@ -64,7 +64,7 @@ def multigrid_of(levels: list[Level]) -> Multigrid:
 
 
 def four(x: np.ndarray, dtype: type) -> np.ndarray:
-    """(n, 3) or (n, 3, k) with room for a pressure, and for all lanes."""
+    """Pad (n, 3) or (n, 3, k) by a pressure and to all lanes."""
     shape = (len(x), 4) if x.ndim == 2 else (len(x), 4, LANES)
     out = np.zeros(shape, dtype)
     out[(slice(None), slice(0, 3), *(slice(0, k) for k in x.shape[2:]))] = x
@@ -72,7 +72,7 @@ def four(x: np.ndarray, dtype: type) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("dtype", "rounding"), [(np.float64, 1e-6), (np.float32, 3e-6)])
-def test_packed_rows_multiply_as_the_dense_tangent(levels, dtype, rounding):
+def test_packed_rows_multiply_like_the_dense_tangent(levels, dtype, rounding):
     level = levels[1]
     t = tangent_of(level)
     packed, A = PackedTangent(level, t), dense_of(level, t)
@@ -126,7 +126,7 @@ def test_smoothing_is_the_chebyshev_polynomial(levels):
     assert np.linalg.eigvals(DA).real.max() < centre + half
 
 
-def test_a_v_cycle_is_symmetric_and_positive(levels):
+def test_v_cycle_is_symmetric_and_positive(levels):
     solver = multigrid_of(levels)
     a, b = (x / np.abs(x).max() for x in loads_on(levels[-1], 2))
     cycled = [solver.precondition(four(x, np.float32))[:, :3].astype(float) for x in (a, b)]
@@ -136,7 +136,7 @@ def test_a_v_cycle_is_symmetric_and_positive(levels):
     assert not (cycled[0] * (1 - levels[-1].free)).any()
 
 
-def test_a_v_cycle_of_a_block_is_that_of_each_column(levels):
+def test_v_cycle_of_a_block_equals_each_column(levels):
     solver = multigrid_of(levels)
     b = np.moveaxis(loads_on(levels[-1], 3), 0, -1)
     b /= np.abs(b).max(axis=(0, 1))
@@ -148,7 +148,7 @@ def test_a_v_cycle_of_a_block_is_that_of_each_column(levels):
 
 @pytest.mark.parametrize("kind", ["factored", "multigrid"])
 @pytest.mark.parametrize("k", [1, 5, LANES + 3])
-def test_right_hand_sides_together_are_solved_as_by_a_dense_solver(levels, kind, k):
+def test_blocks_are_solved_like_by_a_dense_solver(levels, kind, k):
     level = levels[-1]
     t = tangent_of(level)
     solver = CholeskySolver(level, t) if kind == "factored" else multigrid_of(levels)
@@ -167,7 +167,7 @@ def test_right_hand_sides_together_are_solved_as_by_a_dense_solver(levels, kind,
     assert not many.u[k // 2].any()
 
 
-def test_together_is_as_alone(levels):
+def test_block_solution_equals_single_solutions(levels):
     solver, b = multigrid_of(levels), loads_on(levels[-1], 4)
     many = solver.solve_many(b, 1e-8)
     for k in range(4):
@@ -176,7 +176,7 @@ def test_together_is_as_alone(levels):
         np.testing.assert_allclose(many.u[k], alone.u, rtol=0, atol=1e-6 * np.abs(alone.u).max())
 
 
-def test_a_block_needs_fewer_iterations_than_each_alone(levels):
+def test_block_needs_fewer_iterations_than_single_solves(levels):
     solver, b = multigrid_of(levels), loads_on(levels[-1], LANES)
     together = block_conjugate_gradients.solve_many(solver, b, 1e-6)
     alone = conjugate_gradients.solve_many(solver, b, 1e-6)
@@ -185,7 +185,7 @@ def test_a_block_needs_fewer_iterations_than_each_alone(levels):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-4 * np.abs(other).max())
 
 
-def test_a_block_of_like_right_hand_sides_is_solved(levels):
+def test_solves_a_block_of_similar_right_hand_sides(levels):
     solver, b = multigrid_of(levels), loads_on(levels[-1], 2)
     alike = np.concatenate([b, b, b, -2 * b])
     many = block_conjugate_gradients.solve_many(solver, alike, 1e-6)
@@ -196,7 +196,7 @@ def test_a_block_of_like_right_hand_sides_is_solved(levels):
         np.testing.assert_allclose(many.u[2 * k : 2 * k + 2], share * alone.u, rtol=0, atol=near)
 
 
-def test_no_right_hand_side_is_no_work(levels):
+def test_solves_zero_right_hand_sides(levels):
     for solver in (multigrid_of(levels), CholeskySolver(levels[0], tangent_of(levels[0]))):
         n = len(levels[-1].free) if isinstance(solver, Multigrid) else len(levels[0].free)
         many = solver.solve_many(np.zeros((0, n, 3)), 1e-6)
@@ -204,7 +204,7 @@ def test_no_right_hand_side_is_no_work(levels):
         assert many.error.shape == (0,)
 
 
-def test_the_number_of_iterations_grows_little_with_the_mesh(levels):
+def test_iterations_grow_little_with_the_mesh(levels):
     b = [loads_on(level, 1)[0] for level in levels]
     few = multigrid_of(levels[:2]).solve(b[1], 1e-8).iterations
     more = multigrid_of(levels).solve(b[2], 1e-8).iterations
@@ -212,7 +212,7 @@ def test_the_number_of_iterations_grows_little_with_the_mesh(levels):
     assert more < 60
 
 
-def test_negative_curvature_is_told(levels):
+def test_reports_negative_curvature(levels):
     level = levels[1]
     t = tangent_of(level)
     negative = -t.rows

@@ -54,7 +54,7 @@ def named_by(path: Path, name: str) -> Path:
         If it is outside the folder that input is confined to, or is not a valid path.
     """
     if "\0" in name:
-        raise InputError(f"{path} names a file {name[:60]!r}, which cannot be the name of a file.")
+        raise InputError(f"{path} names the file {name[:60]!r}, which is not a valid file name.")
     named = path.parent / name
     check_allowed(named, f"{path} names {name[:200]!r}, which")
     return named

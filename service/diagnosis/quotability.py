@@ -145,7 +145,7 @@ def constant_lines(summary: Summary) -> list[str]:
 
 
 def _without(summary: Summary, name: str) -> str:
-    """Return the value of the nominal model, if the accused effects change it."""
+    """Return the constant's value without the suspected effects, as a clause."""
     constant = summary.constants[name]
     if summary.verdict == "no-gap" or constant.after is None:
         return ""

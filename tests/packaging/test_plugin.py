@@ -30,7 +30,7 @@ import palpate
 
 if __name__ == "__main__":
     found = palpate.diagnose(
-        {study!r}, nodes=600, effects=["side_weight", "plate_tilt"], workers=2, store={store!r}
+        {study!r}, nodes=1150, effects=["side_weight", "plate_tilt"], workers=2, store={store!r}
     )
     print(json.dumps([effect.name for effect in found.summary.effects]))
 """
@@ -71,7 +71,7 @@ def study(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example's study on a coarser mesh, run on two workers."""
     folder = tmp_path_factory.mktemp("run") / "plugin"
     coarser = folder.parent / "study.yaml"
-    coarser.write_text(STUDY.read_text().replace("nodes: 1500", "nodes: 600"))
+    coarser.write_text(STUDY.read_text().replace("nodes: 1500", "nodes: 1150"))
     run = ["-m", "palpate", "run", coarser, "--study", folder, "--store", folder.parent / "store"]
     python(site, *run, "--workers", 2)
     return folder

@@ -58,7 +58,7 @@ def test_failed_candidates_are_not_best() -> None:
 
 
 def test_rejects_invalid_settings() -> None:
-    with pytest.raises(palpate.InputError, match="has no derivatives"):
+    with pytest.raises(palpate.InputError, match="supports neither derivatives"):
         palpate.Search(BOUNDS, "least-squares")
     with pytest.raises(palpate.InputError, match="populaton"):
         palpate.Search(BOUNDS, populaton=3)

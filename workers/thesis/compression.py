@@ -107,7 +107,7 @@ def constants_of(law: LawName) -> dict[Tissue, Constants]:
         If the law is unknown.
     """
     if law not in get_args(LawName):
-        raise InputError(f"The law is one of {', '.join(get_args(LawName))}; got {law!r}.")
+        raise InputError(f"The law must be one of {', '.join(get_args(LawName))}; got {law!r}.")
     found = {}
     for tissue, mu in SHEAR_MPA.items():
         matrix = None
@@ -137,7 +137,7 @@ def compression_problem(labels: Volume, view: View, law: LawName) -> Problem:
         If the view or the law is unknown.
     """
     if view not in AXES:
-        raise InputError(f"The view is one of {', '.join(AXES)}; got {view!r}.")
+        raise InputError(f"The view must be one of {', '.join(AXES)}; got {view!r}.")
     axis = np.asarray(AXES[view])
     at = np.argwhere(labels.values != Tissue.AIR)[:, ::-1]
     spacing = np.asarray(labels.spacing_mm)

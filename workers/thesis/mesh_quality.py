@@ -97,7 +97,7 @@ def mesh_of(materials: Volume, kind: MeshKind, scale: Scale = "reduced") -> Hier
     """
     if kind not in KINDS or kind == "fTetWild":
         known = ", ".join(k for k in KINDS if k != "fTetWild")
-        raise InputError(f"A mesh for the solver is one of {known}; got {kind!r}.")
+        raise InputError(f"A mesh for the solver must be one of {known}; got {kind!r}.")
     if kind == "homogeneous":
         size = HOMOGENEOUS_CELL_MM * COARSER[scale]
         return build_hierarchy(materials, element_size_mm=size)

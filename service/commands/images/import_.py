@@ -118,7 +118,7 @@ def import_image(
         "slices": slices_read(path),
         "label_names": {str(k): v for k, v in sorted(read.image.names.items())},
         "label_tissues": {str(k): t.name.lower() for k, t in sorted(read.tissues.items())},
-        "doubt": doubt(volume) or None,
+        "doubt": doubt(volume, letters) or None,
         "findings": [finding.text for finding in findings],
         "caveats": list(caveats_of(findings)),
         "png": str(drawn),
@@ -172,8 +172,8 @@ def _keep(store: Store, name: str, volume: Volume, file: str, *, replace: bool) 
     if not replace:
         other = next(iter(named.values())).get("file", "an unknown file")
         raise InputError(
-            f"The store has another volume named {name}, read from {other}. Choose another "
-            "--name, or give --replace."
+            f"The store has another volume named {name}, read from {other}: another image, or the "
+            "same with other labels, spacing or axes. Choose another --name, or give --replace."
         )
     about |= {"content": content, "replaces": [*named, content]}
     kept = digest("replacement", content, list(named))

@@ -98,11 +98,24 @@ def _understood(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(f"label {k}", f"{names[k]}: {tissue}") for k, tissue in tissues.items() if k in names]
 
 
-def doubt(volume: Volume) -> str:
+def doubt(volume: Volume, letters: tuple[str, str, str] | None = None) -> str:
     """Return a warning about implausible axes; empty if there is none.
 
-    A breast is widest at the chest wall, the low end of z.
+    From the chest wall to the nipple is anterior, and a breast is widest at the chest wall, the
+    low end of z.
+
+    Parameters
+    ----------
+    volume : Volume
+    letters : tuple of str, optional
+        Anatomical directions in which x, y and z increase, if the file states them.
     """
+    if letters is not None and letters[2] != "A":
+        return (
+            f"z increases towards {letters[2]}, but from the chest wall to the nipple is anterior. "
+            "Give --axes with A as the third letter, such as 'L S A' for a cranio-caudal "
+            "compression."
+        )
     area = (np.asarray(volume.values) != Tissue.AIR).sum(axis=(1, 2))
     filled = np.flatnonzero(area)
     if len(filled) < 4:

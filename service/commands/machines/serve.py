@@ -77,7 +77,7 @@ def serve(
             if not service.tokens:
                 token = service.tokens.new("first", "admin")
                 typer.echo(f"token (shown once; `palpate token` creates others): {token}")
-                typer.echo(f"page, signed in: {url_of(listening)}/#token={token}")
+                typer.echo(f"page (this link signs you in): {url_of(listening)}/#token={token}")
             typer.echo(f"serving {service.home.root} at {url_of(listening)}")
             listen_and_serve(service, listening, allow_host or (), stop=lambda: requests)
             typer.echo("Stopping; completed work is saved.", err=True)

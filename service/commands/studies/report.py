@@ -124,7 +124,7 @@ def _how_well(results: StudyResults) -> list[str]:
         if shares and results.estimates[name].interval is not None:
             texts.append(f"Standard deviation of {name} by source: {shares}.")
     if known.directions:
-        texts.append(f"Least certain: {known.directions[-1].words}.")
+        texts.append(f"Least certain by the image alone: {known.directions[-1].words}.")
     return texts
 
 

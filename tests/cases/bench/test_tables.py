@@ -120,7 +120,7 @@ def test_reads_separators_of_thousands(tmp_path):
     [
         (
             text_of(rows(), decimal=","),
-            r"line 2: 26 cells below a header of 13 columns\. Dec",
+            r"line 2: 26 cells below a header of 13 columns\. This happens with dec",
         ),
         (text_of(rows()).replace("0.250000,", "", 1), "line 3: 12 cells below a header of 13"),
         (

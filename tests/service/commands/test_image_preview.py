@@ -37,6 +37,8 @@ def test_facts_agree_with_image() -> None:
 
 def test_warns_about_reversed_body() -> None:
     assert doubt(BODY) == ""
+    assert doubt(BODY, ("L", "S", "A")) == ""
+    assert "z increases towards S" in doubt(BODY, ("R", "A", "S"))
     turned = doubt(Volume(np.ascontiguousarray(CONE[::-1]), BODY.spacing_mm))
     assert "--axes" in turned
     assert "6.48 cm2" in turned  # 18 x 18 pixels of 1 x 2 mm

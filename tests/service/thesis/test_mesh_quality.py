@@ -95,7 +95,7 @@ def test_constants_match_table_41() -> None:
         assert law.shear_modulus_mpa == pytest.approx(NeoHookean(mu).shear_modulus_mpa)
         assert mooney[tissue].kappa_mpa == neo[tissue].kappa_mpa
     assert neo[Tissue.FAT].young_mpa == pytest.approx(0.037995)
-    with pytest.raises(InputError, match="law is one of"):
+    with pytest.raises(InputError, match="law must be one of"):
         constants_of("Ogden")  # type: ignore[arg-type]
 
 
@@ -108,7 +108,7 @@ def test_plate_distances_match_the_thesis(phantom: Phantom) -> None:
         along = (x * -0.7071 + y * 0.7071 if view == "MLO" else y) * 0.75
         thickness = width or float(np.ptp(along)) + 0.75 * np.sqrt(2)
         assert load.upper_mm - load.lower_mm == pytest.approx(left * thickness, abs=0.6)
-    with pytest.raises(InputError, match="view is one of"):
+    with pytest.raises(InputError, match="view must be one of"):
         compression_problem(phantom.labels, "LM", "neo-Hookean")  # type: ignore[arg-type]
 
 

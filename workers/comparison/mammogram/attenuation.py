@@ -46,7 +46,7 @@ def attenuation_per_mm(tissue: Tissue, energies_kev: FloatArray) -> FloatArray:
     if energies.size and not (known[0] <= energies.min() and energies.max() <= known[-1]):
         raise InputError(
             f"Attenuation is known from {known[0]:g} to {known[-1]:g} keV, but {energies.min():g} "
-            f"to {energies.max():g} keV was requested. Use a spectrum of mammography."
+            f"to {energies.max():g} keV was requested. Use a mammography spectrum."
         )
     return np.asarray(np.exp(np.interp(np.log(energies), np.log(known), np.log(values))))
 

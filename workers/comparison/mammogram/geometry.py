@@ -116,8 +116,8 @@ def geometry_of(
     plane = floor - unit.gap_mm
     if heights.max() >= plane + unit.source_mm:
         raise InputError(
-            f"The body reaches {heights.max() - plane:.4g} mm above the detector, the focal spot "
-            f"is at {unit.source_mm:g} mm. Give the volume of the compressed body, in mm."
+            f"The body reaches {heights.max() - plane:.4g} mm above the detector, beyond the "
+            f"focal spot at {unit.source_mm:g} mm. Give the volume of the compressed body, in mm."
         )
     wall = float(corners[:, 2].min())
     middle = float((corners @ along).min() + (corners @ along).max()) / 2

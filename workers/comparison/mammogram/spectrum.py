@@ -57,7 +57,7 @@ def spectrum_of(beam: Beam) -> Spectrum:
         If the beam is unknown.
     """
     if beam not in BEAMS:
-        raise InputError(f"The beam is one of {', '.join(BEAMS)}, got {beam!r}.")
+        raise InputError(f"The beam must be one of {', '.join(BEAMS)}, got {beam!r}.")
     energies, photons = table(f"{beam}_28kvp").T
     kept = photons > NEGLIGIBLE * photons.sum()
     return Spectrum(energies[kept], photons[kept])

@@ -40,8 +40,8 @@ def interpolation(mesh: TetMesh, points: FloatArray, farthest_mm: float = 5.0) -
     miss = np.linalg.norm(matrix @ mesh.nodes - points, axis=1)
     if miss.max(initial=0.0) > farthest_mm:
         raise InputError(
-            f"{int(np.sum(miss > farthest_mm))} of {len(points)} points are outside the mesh, "
-            f"one of them by {miss.max():.1f} mm; up to {farthest_mm:g} mm is allowed. "
+            f"{int(np.sum(miss > farthest_mm))} of {len(points)} points are more than "
+            f"{farthest_mm:g} mm outside the mesh, the farthest by {miss.max():.1f} mm. "
             "Check that mesh and points come from the same scan."
         )
     return matrix

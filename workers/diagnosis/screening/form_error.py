@@ -24,7 +24,7 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 
 class FormError:
-    """Errors of form for any pattern on the points of the residuals.
+    """Form error of any effect pattern at the points of the residuals.
 
     Parameters
     ----------

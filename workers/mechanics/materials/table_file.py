@@ -90,7 +90,7 @@ def _mode(where: str, deformation: str, stated: str) -> Mode:
     except ValueError:
         mode = Mode.SIMPLE_SHEAR
     if mode not in POWERS:
-        raise InputError(f"{where}: mode is one of {', '.join(POWERS)}; found {stated!r}.")
+        raise InputError(f"{where}: mode must be one of {', '.join(POWERS)}; found {stated!r}.")
     return mode
 
 

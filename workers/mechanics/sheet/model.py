@@ -137,9 +137,9 @@ class SheetModel:
         miss = np.hypot(*(points[:, :2] - foot).T)
         if miss.max(initial=0.0) > farthest_mm:
             raise InputError(
-                f"{int((miss > farthest_mm).sum())} of {len(points)} points are outside of the "
-                f"sheet, one of them by {miss.max():.1f} mm; up to {farthest_mm:g} mm were "
-                "expected. Check the outline of the sheet and the frame of the points."
+                f"{int((miss > farthest_mm).sum())} of {len(points)} points are more than "
+                f"{farthest_mm:g} mm outside the sheet, the farthest by {miss.max():.1f} mm. "
+                "Check the outline of the sheet and the coordinate system of the points."
             )
         rows = np.repeat(np.arange(len(points)), 6)
         columns = self.triangles[triangle].ravel()

@@ -134,7 +134,7 @@ def test_refuses_invalid_input() -> None:
         geometry_of(Volume(np.zeros((4, 4, 4), np.uint8), (1.0, 1.0, 1.0)))
     with pytest.raises(InputError, match="perpendicular to z"):
         geometry_of(body, (0.0, 1.0, 1.0))
-    with pytest.raises(InputError, match="focal spot is at"):
+    with pytest.raises(InputError, match="beyond the focal spot at"):
         geometry_of(Volume(body.values, (1.0, 1000.0, 1.0)))
     with pytest.raises(InputError, match="pixels > 0"):
         Unit(pixel_mm=0.0)

@@ -309,7 +309,7 @@ def test_mesh_fills_a_concave_outline_and_has_edges_along_borders():
     x, y = found.nodes[:, 0], found.nodes[:, 1]
     at = found.at_points(points, 0.1)
     np.testing.assert_allclose(at @ (x * y + x**2), places.prod(axis=1) + places[:, 0] ** 2)
-    with pytest.raises(InputError, match="outside of the sheet"):
+    with pytest.raises(InputError, match="outside the sheet"):
         found.at_points(np.array([[25.0, 25.0, 0.0]]), 3.0)
 
 

@@ -87,7 +87,7 @@ def hanging_problem(problem: Problem) -> Problem:
 
 
 def _found(model: Model, hanging: Problem, tolerance_mm: float) -> Model:
-    """Return the model that hangs in its imaged shape, within a tolerance.
+    """Return the stress-free model that gravity deforms into the imaged shape.
 
     After the first round only the finest mesh is loaded, from the image, and moved; the coarser
     ones supply a start and a preconditioner.

@@ -103,7 +103,7 @@ def _named(names: Sequence[str], slope: FloatArray) -> dict[str, float]:
 
 
 def against(numbers: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Return clauses against quoting, for each constant."""
+    """Return the reasons not to quote each constant, as clauses."""
     bounds, noise = numbers["bounds"]["model"], numbers["noises"]["model"]
     found = {}
     for name, bound in bounds.items():

@@ -83,8 +83,8 @@ def read_picture(path: Path) -> FloatArray:
         ) from error
     if count > 1:
         raise InputError(
-            f"{path} has {count} images; expected one. Save the frame before the puff and the one "
-            "under it as separate files."
+            f"{path} has {count} images; expected one. Save the frame before the puff and the "
+            "frame during it as separate files."
         )
     return values
 

@@ -58,7 +58,7 @@ class CorneaModel:
         for name, value, allowed in options:
             if value not in allowed:
                 raise InputError(
-                    f"The {name} of a corneal model is one of {', '.join(map(str, allowed))}; "
+                    f"The {name} of a corneal model must be one of {', '.join(map(str, allowed))}; "
                     f"got {value!r}."
                 )
         if self.limbus_mpa_per_mm is not None and not self.limbus_mpa_per_mm > 0:

@@ -105,9 +105,9 @@ def depth_mm(undeformed: Section, deformed: Section, reach_mm: float) -> float:
     x = x[(x >= after[0, 0]) & (x <= after[-1, 0])]
     if not len(x):
         raise InputError(
-            f"The deformed section is from x = {after[0, 0]:.2f} to {after[-1, 0]:.2f} mm, but the "
-            f"middle of the undeformed one is at {middle:.2f} mm. Give first_pixel, the column "
-            "and row of the first pixel of each picture in the raster of the camera."
+            f"The deformed section spans x = {after[0, 0]:.2f} to {after[-1, 0]:.2f} mm, but the "
+            f"middle of the undeformed section is at x = {middle:.2f} mm. Set first_pixel: the "
+            "column and row of each picture's first pixel on the camera sensor."
         )
     return float(np.mean(np.interp(x, *before.T) - np.interp(x, *after.T)))
 

@@ -128,7 +128,7 @@ class LeastSquaresSearch:
         return self.propose_from(self.starts(), history)
 
     def propose_from(self, starts: FloatArray, history: Sequence[Generation]) -> Proposal | Stopped:
-        """Return the trial points or the reason to stop, with descents from `starts`, shape (n, d)."""
+        """Return the trial points or the reason to stop; descents begin at `starts`, (n, d)."""
         at = self.logs.coordinates(starts)
         progress = _Progress(0, tuple(begin(point) for point in at))
         for generation in history:

@@ -117,7 +117,7 @@ def test_the_table_is_written_and_read_back(tmp_path: Path) -> None:
         value for value in found["gsf"].tolist() if not math.isnan(value)
     ]
     assert [line["status"] for line in lines] == found["status"].tolist()
-    with pytest.raises(palpate.InputError, match=r"\.xlsx is not known"):
+    with pytest.raises(palpate.InputError, match=r"\.xlsx is not supported"):
         found.save(tmp_path / "scores.xlsx")
 
 
@@ -168,7 +168,7 @@ def test_command_evaluates_design(place: Path, capsys: pytest.CaptureFixture[str
         (["study.yaml"], "Give a table and a study"),
         (["table.csv", "study.yaml", "--design", "sobol"], "give only the study"),
         (["study.yaml", "--design", "sobel"], "no design 'sobel'"),
-        (["table.csv", "study.yaml", "--out", "scores.xlsx"], ".xlsx is not known"),
+        (["table.csv", "study.yaml", "--out", "scores.xlsx"], ".xlsx is not supported"),
     ],
 )
 def test_command_rejects_invalid_input_before_work_starts(

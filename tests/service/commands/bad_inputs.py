@@ -28,7 +28,7 @@ IMAGES = IMAGES.replace(
 )
 IMAGES = IMAGES.replace("LABELS", "labels: {0: air, 1: fat, 2: glandular}")
 # Each list repeats the previous one nine times: four billion words when expanded.
-BOMBED = "once its aliases (*) are written out"
+BOMBED = "after its aliases (*) are expanded"
 BOMB = "[&a0 [x], " + ", ".join(f"&a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 11))
 BOMB += "]"
 

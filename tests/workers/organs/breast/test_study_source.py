@@ -139,7 +139,7 @@ def test_searched_parameters_are_free_and_others_held(own: StudySource) -> None:
 def test_a_study_without_positive_parameters_has_nothing_to_fit(own: StudySource) -> None:
     pieces = own.pieces
     named = {name: getattr(pieces, name) for name in pieces.__dataclass_fields__}
-    with pytest.raises(InputError, match="a constant that is positive"):
+    with pytest.raises(InputError, match="needs a positive constant"):
         StudySource(StudyPieces(**named | {"bounds": {"tilt_depth": (-5.0, 5.0)}})).check()
 
 

@@ -59,7 +59,7 @@ class ExperimentReader:
     plans = False
 
     def knows(self, path: Path) -> bool:
-        """Return whether a path is a file that may describe an experiment."""
+        """Test whether a path may be the file of an experiment."""
         if path.suffix not in (".yaml", ".yml") or not path.is_file():
             return False
         try:

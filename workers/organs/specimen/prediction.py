@@ -93,7 +93,7 @@ def unexplained_sd(inverse: InverseProblem, fit: Fit) -> FloatArray:
 
 
 def _growth(inverse: InverseProblem, fit: Fit, moved: FloatArray) -> float:
-    """Return the ratio of displacements to those of the largest fitted state, at least 1.
+    """Return the size of a state relative to the largest fitted state, at least 1.
 
     The error of a wrong model is assumed to grow in proportion to the displacement.
     """

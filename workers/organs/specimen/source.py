@@ -372,7 +372,7 @@ class SpecimenSource:
         return {free.name: float(np.exp(free.log_mean)) for free in self.free}
 
     def _compared(self, moved_mm: FloatArray, state: StateSpec) -> Components:
-        """Return the observed components of a state: those of points, then of load cells."""
+        """Return the observed components of a state: of its points, then of its load cells."""
         seen = moved_mm[self.observed.measured]
         return Components(np.append(seen, readings_mm(state, self.load_cells)))
 

@@ -44,7 +44,7 @@ class SheetBody(Body):
 
     @property
     def wall_mm(self) -> float:
-        """Not a number: a sheet has no wall."""
+        """Always nan: a sheet has no wall."""
         return float("nan")
 
     def model(self, nodes: int) -> SheetModel:

@@ -1,7 +1,7 @@
-"""Starts a Dask scheduler here and its workers as jobs of a batch system, through dask-jobqueue.
+"""Dask workers as jobs of a batch system, with a local scheduler, through dask-jobqueue.
 
-One job is one worker: a process, a thread and a core. Where the jobs run they need the same
-installation, and a file system that holds the store.
+Each job is one worker: a process, a thread and a core. The nodes that run the jobs need the
+same installation and access to the store.
 """
 
 import os
@@ -39,16 +39,16 @@ _WITH_SECONDS = re.compile(r"(?P<minutes>\d+:\d\d):\d\d")
 
 @dataclass(frozen=True)
 class _Dialect:
-    """What differs between batch systems.
+    """Properties in which batch systems differ.
 
     Parameters
     ----------
     cluster : str
-        Class of dask-jobqueue.
+        Name of the class in dask-jobqueue.
     submit, cancel : str
         Programs of the batch system.
     payer : str
-        What dask-jobqueue calls the account.
+        Keyword of dask-jobqueue for the account.
     """
 
     cluster: str
@@ -73,24 +73,24 @@ class JobRequest:
     ----------
     system : {"slurm", "pbs", "lsf", "sge"}
     workers : int or WorkerRange
-        Jobs; in a range as many as there is work for.
+        Number of jobs; within a range, the number follows the amount of work.
     memory : str
-        Of each, such as ``"4GB"``; a worker that needs more is ended. SGE is not asked for it,
-        because the name of the resource differs between sites.
+        Memory of each job, such as ``"4GB"``; a worker that needs more is terminated. It is not
+        requested from SGE, because the name of the resource differs between sites.
     walltime : str
-        Such as ``"24:00:00"``.
+        Time limit of a job, such as ``"24:00:00"``.
     queue, account : str, optional
-        Queue or partition, and who pays.
+        Queue or partition, and the account that is charged.
     options : tuple of str
-        Further options of the submit command: ``"--exclusive"``.
+        Additional options of the submit command, such as ``"--exclusive"``.
     setup : tuple of str
-        Lines of shell before the worker starts: ``"module load python"``.
+        Shell commands before the worker starts, such as ``"module load python"``.
     host : str, optional
         Address of this machine that the workers can reach; default: found by Dask.
     port : int
-        Of the scheduler; 0 takes any.
+        Port of the scheduler; 0 for any free port.
     logs : Path, optional
-        Folder for what the jobs print.
+        Folder for the output of the jobs.
     """
 
     system: BatchSystem
@@ -108,16 +108,16 @@ class JobRequest:
 
 @dataclass(frozen=True)
 class JobCluster:
-    """A scheduler that is running, whose workers are not submitted yet.
+    """A running scheduler with the jobs of its workers.
 
     Parameters
     ----------
     address : str
-        Of the scheduler; begins with ``tls://`` where Dask is configured with certificates.
+        Address of the scheduler; begins with ``tls://`` if Dask is configured with certificates.
     dashboard : str
-        Of Dask's page.
+        Address of Dask's dashboard.
     script : str
-        Of one job.
+        Script of a job.
     """
 
     address: str
@@ -127,7 +127,7 @@ class JobCluster:
     _cluster: Any
 
     def submit(self) -> None:
-        """Submit as many jobs as were asked for; those that end are submitted again."""
+        """Submit the requested jobs; jobs that end are resubmitted."""
         if isinstance(self._workers, WorkerRange):
             follow_the_work(self._cluster, self._workers)
         else:
@@ -135,17 +135,17 @@ class JobCluster:
 
     @property
     def running(self) -> int:
-        """Return how many workers have come up."""
+        """Number of connected workers."""
         return len(self._cluster.scheduler_info["workers"])
 
 
 def check_batch_system(system: BatchSystem) -> None:
-    """Refuse a machine on which no jobs can be submitted.
+    """Check that jobs can be submitted from this machine.
 
     Raises
     ------
     ClusterError
-        If it lacks the programs of the batch system.
+        If the commands of the batch system are not installed.
     """
     dialect = _DIALECTS[system]
     for program in (dialect.submit, dialect.cancel):
@@ -158,7 +158,7 @@ def check_batch_system(system: BatchSystem) -> None:
 
 @contextmanager
 def open_jobs(request: JobRequest) -> Iterator[JobCluster]:
-    """Start the scheduler; on leaving all jobs are cancelled.
+    """Start the scheduler, and cancel all jobs on exit.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def open_jobs(request: JobRequest) -> Iterator[JobCluster]:
         with explained(request.logs):
             request.logs.mkdir(parents=True, exist_ok=True)
     with dask.config.set(CONFIG), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # jobqueue's own, of options that are left out
+        warnings.simplefilter("ignore")  # from dask-jobqueue, about unused options
         try:
             cluster = getattr(dask_jobqueue, dialect.cluster)(
                 cores=1,
@@ -212,20 +212,20 @@ def open_jobs(request: JobRequest) -> Iterator[JobCluster]:
 
 
 def _walltime(request: JobRequest) -> str:
-    """Return the time limit as the batch system reads it: LSF takes no seconds."""
+    """Return the time limit in the format of the batch system; LSF accepts no seconds."""
     timed = _WITH_SECONDS.fullmatch(request.walltime)
     return timed["minutes"] if timed and request.system == "lsf" else request.walltime
 
 
 def _security() -> Security | None:
-    """Return the certificates of Dask's configuration, which the job script then names.
+    """Return the certificates of Dask's configuration, to be written into the job script.
 
-    Some batch systems pass no variables on to a job.
+    Some batch systems do not pass environment variables on to jobs.
 
     Raises
     ------
     ClusterError
-        If one cannot be read.
+        If a certificate cannot be read.
     """
     security = Security()
     try:
@@ -239,10 +239,10 @@ def _security() -> Security | None:
 
 
 class _EndedJobs:
-    """Submits jobs again whose worker came up and has been gone for `GONE_S`.
+    """Resubmission of jobs whose worker connected and has been missing for `GONE_S`.
 
-    A batch system ends a job with its walltime, or for one that is more urgent. Neither Dask
-    nor dask-jobqueue replaces it. Where only the worker died, its nanny is quicker.
+    A batch system ends a job at its time limit, or for a more urgent one, and neither Dask nor
+    dask-jobqueue replaces it. If only the worker died, its nanny restarts it sooner.
     """
 
     def __init__(self, cluster: Any) -> None:
@@ -251,7 +251,7 @@ class _EndedJobs:
         self._came_up: set[Any] = set()
 
     async def submit_again(self) -> None:
-        """Look once; called in the cluster's own thread."""
+        """Check the workers once; called in the cluster's own thread."""
         cluster, now = self._cluster, time.monotonic()
         there = {worker.name for worker in cluster.scheduler.workers.values()}
         self._came_up = (self._came_up | there) & cluster.worker_spec.keys()
@@ -260,7 +260,7 @@ class _EndedJobs:
         self._gone_since = {n: since for n, since in gone.items() if n not in ended}
         self._came_up -= set(ended)
         for name in ended:
-            with suppress(Exception):  # the batch system knows the job no more
+            with suppress(Exception):  # the batch system no longer knows the job
                 await cluster.workers.pop(name).close()
         if ended:
             cluster.scale(len(cluster.worker_spec))  # as many as before
@@ -282,7 +282,7 @@ def _scheduler_options(request: JobRequest) -> dict[str, Any]:
 
 
 def _exports() -> list[str]:
-    """Return shell lines that give workers the environment of a local cluster's workers.
+    """Return shell commands that set the environment of a local cluster's workers.
 
     See `service.cluster.open`.
     """

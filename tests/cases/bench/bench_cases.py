@@ -1,4 +1,4 @@
-"""A block of 30 x 30 x 60 mm that is pulled with 18 N: exact motion of four markers, as tables."""
+"""Tables of the exact motion of four markers on a 30 x 30 x 60 mm block pulled with 18 N."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ HEAD = ["t_s", *(f"{name}_{axis}_mm" for name in MARKERS for axis in "xyz")]
 
 
 def stretches(force_n=FORCE_N, young_mpa=YOUNG_MPA):
-    """Stretches of a bar of the energy mu/2 (I1 J^-2/3 - 3) + K/2 (J - 1)^2, across and along."""
+    """Return the stretches across and along a bar with mu/2 (I1 J^-2/3 - 3) + K/2 (J - 1)^2."""
     mu, bulk = young_mpa / (2 * (1 + NU)), young_mpa / (3 * (1 - 2 * NU))
     stress = force_n / (SIZE[0] * SIZE[1])
 
@@ -39,26 +39,26 @@ def stretches(force_n=FORCE_N, young_mpa=YOUNG_MPA):
 
 
 def motion(points, force_n=FORCE_N):
-    """Displacement of points of the block, shape (k, 3)."""
+    """Return the displacements of points of the block, shape (k, 3)."""
     across, along = stretches(force_n)
     return np.asarray(points) * (np.array([across, across, along]) - 1)
 
 
 def rows(loaded=LOADED):
-    """Time and places of all markers in each frame, shape (13, 13)."""
+    """Return time and positions of all markers in each frame, shape (13, 13)."""
     points = np.array(list(MARKERS.values()))
     places = points + loaded[:, None, None] * motion(points)
     return np.column_stack([TIMES_S, places.reshape(len(TIMES_S), -1)])
 
 
 def text_of(values, head=HEAD, mark=",", decimal="."):
-    """A table as text."""
+    """Return a table as text."""
     lines = [[f"{v:.6f}".replace(".", decimal) for v in row] for row in np.asarray(values)]
     return "\n".join(mark.join(line) for line in [list(head), *lines]) + "\n"
 
 
 def described(**changes):
-    """The file of the experiment, as plain data."""
+    """Return the file of the experiment as plain data."""
     data = {
         "organ": "specimen",
         "name": "block",
@@ -94,7 +94,7 @@ def described(**changes):
 
 
 def write(folder: Path, data=None, a=None, b=None) -> Path:
-    """The experiment with two repeats on disk."""
+    """Write the experiment with two repeats."""
     path = folder / "experiment.yaml"
     path.write_text(yaml.safe_dump(data or described(), sort_keys=False))
     for name, text in (("a.csv", a), ("b.csv", b)):

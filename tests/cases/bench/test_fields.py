@@ -1,4 +1,4 @@
-"""Fields of displacements: unmeasured components, searched intervals, predictions, words."""
+"""Fields of displacements: missing components, fitted intervals, predictions, messages."""
 
 import io
 import time
@@ -26,7 +26,7 @@ SD_MM = 0.02
 
 
 def points():
-    """Away from the loaded face, whose nodes share the force alike."""
+    """Return points away from the loaded face, whose nodes carry equal forces."""
     axes = [np.linspace(5, 25, 3), np.linspace(5, 25, 3), np.linspace(5, 35, 3)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -39,7 +39,7 @@ def table(moved, head=HEAD):
 
 
 def experiment(folder, moved=None, head=HEAD, nu=NU, **changes):
-    """The block that is pulled with 18 N, seen at 27 points."""
+    """Write the block that is pulled with 18 N, measured at 27 points."""
     data = described(field={"sd_mm": SD_MM}, **changes)
     del data["markers"]
     data["materials"]["gel"]["nu"] = nu
@@ -50,7 +50,7 @@ def experiment(folder, moved=None, head=HEAD, nu=NU, **changes):
 FURTHER = {"name": "further", "forces": [{"region": "top", "force_n": [0, 0, 1.5 * FORCE_N]}]}
 
 
-def test_a_component_that_was_not_measured_is_not_compared(tmp_path):
+def test_unmeasured_component_is_not_compared(tmp_path):
     source = read_experiment(experiment(tmp_path, head=HEAD[:-1], predict=[FURTHER]))
     source.check()
     assert source.observed.notes == ("uz_mm was not measured and is not compared.",)
@@ -65,7 +65,7 @@ def test_a_component_that_was_not_measured_is_not_compared(tmp_path):
     assert np.isnan(moved[:, 2]).all()
 
 
-def test_single_values_that_were_not_measured_are_not_compared(tmp_path):
+def test_missing_values_are_not_compared(tmp_path):
     moved = motion(points())
     moved[3, 2] = moved[7] = np.nan
     source = read_experiment(experiment(tmp_path, moved))
@@ -84,14 +84,14 @@ def test_single_values_that_were_not_measured_are_not_compared(tmp_path):
         (None, "lacks the columns ux_mm, uy_mm, uz_mm"),
     ],
 )
-def test_refuses_a_field_without_displacements(tmp_path, cell, words):
+def test_rejects_a_field_without_displacements(tmp_path, cell, words):
     moved = motion(points())
     moved[2, 1] = moved[2, 1] if cell is None else cell
     with pytest.raises(InputError, match=words):
         read_experiment(experiment(tmp_path, moved, HEAD[:3] if cell is None else HEAD))
 
 
-def test_refuses_a_field_in_metres(tmp_path):
+def test_rejects_a_field_in_metres(tmp_path):
     path = experiment(tmp_path, motion(points()) / 1000)
     with pytest.raises(InputError, match="Nothing was measured"):
         read_experiment(path).check()
@@ -102,7 +102,7 @@ def test_refuses_a_field_in_metres(tmp_path):
         read_experiment(path).check()
 
 
-def test_a_region_moves_along_the_axes_that_were_measured(tmp_path):
+def test_region_moves_along_measured_axes_only(tmp_path):
     moves = [{"region": "end", "measured": True}]
     data = described()
     end = {"box_mm": {"lower": [0, 0, 30], "upper": [30, 30, 60]}}
@@ -118,24 +118,24 @@ def test_a_region_moves_along_the_axes_that_were_measured(tmp_path):
     assert len(source.observed.boundary_mm) == 9
 
 
-def test_a_searched_interval_of_nu_bounds_the_fit(tmp_path):
+def test_interval_of_nu_bounds_the_fit(tmp_path):
     source = read_experiment(experiment(tmp_path, nu=[0.2, 0.4]))
     free = unknowns(source.free, [])
     ends = (1 - np.exp(np.array([free.upper[1], free.lower[1]]))) / 2
     np.testing.assert_allclose(ends, [0.2, 0.4])
-    # The interval of E is a prior, which data overrule.
+    # The interval of E is a prior, which data may overrule.
     assert np.exp(free.upper[0]) > 2 * 0.8
 
 
 @pytest.mark.slow
-def test_a_fit_stops_at_the_end_of_a_searched_interval(tmp_path):
+def test_fit_stops_at_the_end_of_an_interval(tmp_path):
     source = read_experiment(experiment(tmp_path, nu=[0.2, 0.4]))
     _, fit = calibrate(source.inverse_problem(NODES), None)
     assert (1 - fit.values()["compressibility"]) / 2 == pytest.approx(0.4, abs=1e-6)
     assert "nu is at the end of its interval" in outside_intervals(source.spec, fit.values())[-1]
 
 
-def test_mesh_corrections_are_for_forces_alone(tmp_path):
+def test_mesh_correction_applies_to_forces_only(tmp_path):
     loads = read_experiment(experiment(tmp_path))
     assert loads.part_of_compliance(NODES) < 1
     assert loads.finer(NODES) is None
@@ -147,8 +147,8 @@ def test_mesh_corrections_are_for_forces_alone(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_prediction_contains_what_the_fit_leaves(tmp_path):
-    """A field of a body that bulges, which no constant explains, and a state 1.5 times as far."""
+def test_prediction_includes_the_unexplained_residual(tmp_path):
+    """A field with a bulge that no constant explains, and a state with 1.5 times the load."""
     wrong = 0.3 * np.sin(points() / 6)
     source = read_experiment(experiment(tmp_path, motion(points()) + wrong, predict=[FURTHER]))
     inverse, fit = calibrate(source.inverse_problem(NODES), None)
@@ -175,7 +175,7 @@ def test_arrows_use_the_measured_components():
     np.testing.assert_array_equal(found.before[0], [[1, 2, 3], [4, 0, 5], [0, 6, 7]])
 
 
-def test_supports_that_carry_a_part_of_small_forces_are_named(tmp_path):
+def test_warns_of_supports_that_carry_part_of_a_small_force(tmp_path):
     data = described()
     move = {
         "forces": [],
@@ -188,7 +188,7 @@ def test_supports_that_carry_a_part_of_small_forces_are_named(tmp_path):
     inverse = source.inverse_problem(NODES)
     problem = source.problem(source.spec.states[0])({"E": YOUNG_MPA})
     nodes = inverse.model.finest.nodes
-    moved = np.vstack([0.2 * nodes * [1, 0, 0], np.zeros((1, 3))])  # a load cell beyond the nodes
+    moved = np.vstack([0.2 * nodes * [1, 0, 0], np.zeros((1, 3))])  # a load cell after the nodes
     # Springs of 5e-9 N/mm^4 on 54,000 mm^3 that move by 3 mm on average.
     expected = 5e-9 * np.prod(SIZE) * 3
     held = support_force_n(inverse.model.finest, problem, moved[:-1])
@@ -201,12 +201,12 @@ def test_supports_that_carry_a_part_of_small_forces_are_named(tmp_path):
     assert supported(inverse, [problem], [strong], [moved]) == ()
 
 
-def test_lists_causes_of_a_bench_without_an_effect():
+def test_causes_without_an_effect_are_about_the_bench():
     text = " ".join(" ".join(pair) for pair in NOT_SIMULATED).lower()
     assert not any(word in text for word in ("gland", "fat", "nipple", "skin", "breast", "scan"))
 
 
-def test_a_long_step_prints_a_line_now_and_then():
+def test_long_step_prints_progress_repeatedly():
     file = io.StringIO()
     with DiagnosisProgress(Console(file=file), every_s=0.05):
         time.sleep(0.3)

@@ -1,4 +1,4 @@
-"""Mesh files whose bodies were read in part: kinds of cells, decks, cavities, indices."""
+"""Mesh files: kinds of cells, decks, cavities, indices."""
 
 from itertools import product
 
@@ -21,7 +21,7 @@ HALF = 30.0
 
 
 def bricks(low=(0, 0, 0), high=SIZE, count=(3, 3, 6)):
-    """Hexahedra of a box: points and corners."""
+    """Return points and hexahedra of a box."""
     axes = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, count, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     step = np.array([(count[1] + 1) * (count[2] + 1), count[2] + 1, 1])
@@ -32,7 +32,7 @@ def bricks(low=(0, 0, 0), high=SIZE, count=(3, 3, 6)):
 
 
 def tetrahedra(low=(0, 0, 0), high=SIZE):
-    """Tetrahedra of a box, some of them with a negative orientation."""
+    """Return points and tetrahedra of a box, some of them with a negative orientation."""
     mesh = lattice(tuple(np.subtract(high, low)), (3, 3, 4))
     tets = mesh.tets.copy()
     tets[::3] = tets[::3][:, [1, 0, 2, 3]]
@@ -40,7 +40,7 @@ def tetrahedra(low=(0, 0, 0), high=SIZE):
 
 
 def joined(*parts):
-    """Points and blocks of cells of several parts, each with points of its own."""
+    """Join several parts, each with its own points, into one mesh."""
     points, blocks = [], []
     for (own, cells), kind in parts:
         blocks.append((kind, cells + sum(map(len, points))))
@@ -111,21 +111,21 @@ def test_reads_every_kind_of_volume_cell(tmp_path, kind, suffix):
     assert notes == ()
 
 
-def test_body_is_the_volume_cells_despite_a_plate_of_triangles(tmp_path):
+def test_leaves_out_triangles_next_to_volume_cells(tmp_path):
     plate = (np.array([[-50.0, -50, 60], [90, -50, 60], [0, 90, 60]]), np.array([[0, 1, 2]]))
     for kind in ("tetra", "tetra10"):
         body = tetrahedra() if kind == "tetra" else quadratic()
         wanted = VOLUME_ML if kind == "tetra" else VOLUME_ML / 2
         found, notes = filled_ml(tmp_path, joined((body, kind), (plate, "triangle")))
         assert found == pytest.approx(wanted)
-        assert notes == ("1 surface cells of a.vtk are no part of the body.",)
+        assert notes == ("1 surface cells of a.vtk are not part of the body.",)
 
 
-def test_refuses_cells_that_are_not_read_by_name_and_count(tmp_path, monkeypatch):
+def test_rejects_unsupported_cells_by_name_and_count(tmp_path, monkeypatch):
     cubic = (np.random.default_rng(0).uniform(0, 30, (20, 3)), np.arange(20)[None])
     mesh = joined((LOWER, "tetra"), (cubic, "tetra20"))
     monkeypatch.setattr(meshio, "read", lambda path: mesh)
-    with pytest.raises(InputError, match="cells that are not read: 1 tetra20"):
+    with pytest.raises(InputError, match="unsupported cells: 1 tetra20"):
         read_mesh_file(tmp_path / "a.vtu", 1.0)
 
 
@@ -149,7 +149,7 @@ def deck(mesh):
 INSTANCE = "*ASSEMBLY, NAME=X\n*INSTANCE, NAME=A-1, PART=A\n{}*END INSTANCE\n*END ASSEMBLY\n"
 
 
-def test_reads_a_deck_of_one_part_that_is_not_moved(tmp_path):
+def test_reads_a_deck_of_one_part(tmp_path):
     text = deck(tetrahedra()) + INSTANCE.format("")
     assert filled_ml(tmp_path, text, "a.inp")[0] == pytest.approx(VOLUME_ML)
 
@@ -166,7 +166,7 @@ def test_reads_a_deck_of_one_part_that_is_not_moved(tmp_path):
         ("*ELEMENT, TYPE=C3D4, INPUT=more.inp\n", "\\*ELEMENT with INPUT"),
     ],
 )
-def test_refuses_a_deck_that_would_be_read_in_part(tmp_path, more, words):
+def test_rejects_decks_with_unsupported_keywords(tmp_path, more, words):
     text = deck(tetrahedra()) + more
     with pytest.raises(InputError, match=rf"a\.inp, line \d+: {words}.* is not read"):
         filled_ml(tmp_path, text, "a.inp")
@@ -177,16 +177,16 @@ def box_surface(low, high):
     return mesh.nodes + low, boundary_triangles(mesh.tets)
 
 
-def test_refuses_a_closed_cavity_and_a_body_in_pieces(tmp_path):
+def test_rejects_cavities_and_loose_pieces(tmp_path):
     outer = (box_surface((0, 0, 0), SIZE), "triangle")
     inner = (box_surface((5, 5, 10), (25, 25, 50)), "triangle")
     beside = (box_surface((50, 0, 0), (80, 30, 60)), "triangle")
-    with pytest.raises(InputError, match=r"encloses a cavity: 16 ml beside 38 ml in all"):
+    with pytest.raises(InputError, match=r"encloses a cavity of 16 ml; its total volume is 38 ml"):
         filled_ml(tmp_path, joined(outer, inner), "a.stl")
-    with pytest.raises(InputError, match=r"falls into pieces: 54 ml beside 108 ml in all"):
+    with pytest.raises(InputError, match=r"has loose pieces of 54 ml; its total volume is 108 ml"):
         filled_ml(tmp_path, joined(outer, beside), "a.stl")
     solid = ((0, 0, 0), SIZE), ((50, 0, 0), (80, 30, 60))
-    with pytest.raises(InputError, match="falls into pieces"):
+    with pytest.raises(InputError, match="has loose pieces"):
         filled_ml(tmp_path, joined(*((tetrahedra(*ends), "tetra") for ends in solid)))
 
 
@@ -197,16 +197,16 @@ def test_doubled_facets_count_once(tmp_path, flip):
     mesh = joined(((points, faces), "triangle"), ((points, again), "triangle"))
     found, notes = filled_ml(tmp_path, mesh, "a.stl")
     assert found == pytest.approx(VOLUME_ML)
-    assert notes == (f"{len(faces)} facets of a.stl are there twice and counted once.",)
+    assert notes == (f"{len(faces)} facets of a.stl are duplicates and counted once.",)
 
 
-def test_bodies_that_touch_share_a_wall(tmp_path):
+def test_fills_touching_bodies(tmp_path):
     halves = [((0, 0, 0), (30, 30, HALF)), ((0, 0, HALF), SIZE)]
     mesh = joined(*((box_surface(*ends), "triangle") for ends in halves))
     assert filled_ml(tmp_path, mesh, "a.stl")[0] == pytest.approx(VOLUME_ML)
 
 
-def test_a_surface_of_quadrilaterals_is_filled(tmp_path):
+def test_fills_a_surface_of_quadrilaterals(tmp_path):
     points, cells = bricks(count=(1, 1, 1))
     faces = np.concatenate([cells[:, list(face)] for face in VOLUMES["hexahedron"][1]])
     found, _ = filled_ml(tmp_path, meshio.Mesh(points, [("quad", faces)]))
@@ -215,7 +215,7 @@ def test_a_surface_of_quadrilaterals_is_filled(tmp_path):
 
 @pytest.mark.parametrize("index", [-1, 10**6])
 @pytest.mark.parametrize("kind", ["tetra", "triangle"])
-def test_refuses_indices_without_a_point(tmp_path, index, kind, monkeypatch):
+def test_rejects_indices_without_a_point(tmp_path, index, kind, monkeypatch):
     points, cells = tetrahedra() if kind == "tetra" else box_surface((0, 0, 0), SIZE)
     cells = cells.copy()
     cells[7, 1] = index
@@ -226,18 +226,18 @@ def test_refuses_indices_without_a_point(tmp_path, index, kind, monkeypatch):
         read_mesh_file(tmp_path / "a.vtk", 1.0)
 
 
-def test_refuses_points_that_are_not_finite_unless_unused(tmp_path):
+def test_rejects_used_points_that_are_not_finite(tmp_path):
     points, tets = tetrahedra()
     unused = np.vstack([points, [[np.nan] * 3, [1e9] * 3]])
     assert filled_ml(tmp_path, meshio.Mesh(unused, [("tetra", tets)]))[0] == pytest.approx(
         VOLUME_ML
     )
     points[tets[5, 0]] = np.nan
-    with pytest.raises(InputError, match="has coordinates that are no finite numbers"):
+    with pytest.raises(InputError, match="has coordinates that are not finite"):
         filled_ml(tmp_path, meshio.Mesh(points, [("tetra", tets)]))
 
 
-def test_flat_cells_are_left_out_and_counted(tmp_path):
+def test_leaves_out_flat_cells_with_a_note(tmp_path):
     points, tets = tetrahedra()
     flat = np.vstack([tets, [tets[0, 0], tets[0, 1], tets[0, 1], tets[0, 2]]])
     found, notes = filled_ml(tmp_path, meshio.Mesh(points, [("tetra", flat)]))
@@ -247,7 +247,7 @@ def test_flat_cells_are_left_out_and_counted(tmp_path):
         filled_ml(tmp_path, meshio.Mesh(points, [("tetra", flat[-1:])]))
 
 
-def test_units_are_named_where_voxels_do_not_fit(tmp_path):
+def test_suggests_units_if_voxels_do_not_fit(tmp_path):
     points, tets = tetrahedra()
     metres = meshio.Mesh(points / 1000, [("tetra", tets)])
     with pytest.raises(InputError, match=r"Check body\.mm_per_unit: 1000 for a file in metres"):
@@ -257,7 +257,7 @@ def test_units_are_named_where_voxels_do_not_fit(tmp_path):
         filled_ml(tmp_path, meshio.Mesh(points * 1000, [("tetra", tets)]))
 
 
-def test_physical_groups_label_every_block(tmp_path):
+def test_physical_groups_label_all_blocks(tmp_path):
     mesh = joined((LOWER, "tetra"), (UPPER["hexahedron"], "hexahedron"))
     groups = [
         np.full(len(block.data), label) for block, label in zip(mesh.cells, (7, 9), strict=True)
@@ -271,7 +271,7 @@ def test_physical_groups_label_every_block(tmp_path):
     assert (values[half:] == spec.tissue_of("hard")).all()
     mesh.cell_data = {"kind": [g + 0.4 for g in groups]}
     meshio.write(tmp_path / "b.vtk", mesh)
-    with pytest.raises(InputError, match="are no labels: not all are whole numbers"):
+    with pytest.raises(InputError, match="are not labels: not all are integers"):
         body_of_file(spec_of(tmp_path, "b.vtk", labels={7: "gel", 9: "hard"}), tmp_path / "b.vtk")
 
 
@@ -287,7 +287,7 @@ def test_damaged_files_give_one_message(tmp_path, name, content):
         read_mesh_file(tmp_path / name, 1.0)
 
 
-def test_notes_of_the_file_come_with_the_experiment(tmp_path):
+def test_experiment_includes_notes_of_its_mesh(tmp_path):
     points, tets = tetrahedra()
     flat = np.vstack([tets, [tets[0, [0, 1, 1, 2]]]])
     meshio.write(tmp_path / "a.vtk", meshio.Mesh(points, [("tetra", flat)]))

@@ -1,4 +1,4 @@
-"""Recordings of markers that went wrong: lost markers, decimal commas, times, units, repeats."""
+"""Faulty recordings of markers: lost markers, decimal commas, times, units, repeats."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def lost(frames, number, marker="M3", values=None):
 
 
 def test_recovers_the_stiffness_of_a_block_with_a_lost_marker(tmp_path):
-    """Without the marker in 6 of 13 frames of one repeat, E is as it was: 200 kPa within 1 %."""
+    """With a marker missing in 6 of 13 frames of a repeat, E is still 200 kPa within 1 %."""
     source = read_experiment(written(tmp_path, b=text_of(lost(slice(5, 11), 0.0))))
     source.check()
     np.testing.assert_allclose(source.observed.moved_mm[0], TRUE_MM, atol=1e-5)
@@ -73,7 +73,7 @@ def test_ordinary_motion_is_not_missing():
         assert all(np.isfinite(found[name]).all() for name in given)
 
 
-def test_marker_that_is_never_seen_is_refused(tmp_path):
+def test_rejects_a_marker_that_is_never_seen(tmp_path):
     with pytest.raises(InputError, match=r"b\.csv: the marker M3 was not seen between 2 and 3 s"):
         observed(tmp_path, b=text_of(lost(slice(7, 13), 0.0)))
     with pytest.raises(InputError, match="was not seen in more than 1 of 5 frames"):
@@ -139,7 +139,7 @@ def test_reads_separators_of_thousands(tmp_path):
         ("a,b\nm,mm\n1,2\n", "line 2: the column a is in m, expected mm"),
     ],
 )
-def test_refuses_ambiguous_tables(tmp_path, text, words):
+def test_rejects_ambiguous_tables(tmp_path, text, words):
     path = tmp_path / "a.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     columns = ["a", "b"] if len(text) < 200 else HEAD
@@ -158,21 +158,21 @@ def test_refuses_ambiguous_tables(tmp_path, text, words):
         (lambda t: t * [0.1, *[1] * 12], "repeats"),
     ],
 )  # fmt: skip
-def test_refuses_times_that_do_not_ascend(tmp_path, change, words):
+def test_rejects_times_that_do_not_ascend(tmp_path, change, words):
     with pytest.raises(InputError, match=words):
         observed(tmp_path, a=text_of(change(rows())))
 
 
-def test_refuses_metres_in_a_table_of_millimetres(tmp_path):
+def test_rejects_metres_in_a_table_of_millimetres(tmp_path):
     small = rows() * [1, *[1e-3] * 12]
     with pytest.raises(InputError, match="No state moves the points by more than the noise"):
         observed(tmp_path, text_of(small), text_of(small))
     markers = described()["markers"] | {"mm_per_unit": 1000.0}
-    with pytest.raises(InputError, match="farther than the body is large"):
+    with pytest.raises(InputError, match="farther than the size of the body"):
         observed(tmp_path, markers=markers)
     places = {n: {"at_mm": [c / 1000 for c in at]} for n, at in MARKERS.items()}
     markers = described()["markers"] | {"markers": places}
-    with pytest.raises(InputError, match=r"span 0\.02 mm of a body of 30 x 30 x 60 mm.*in metres"):
+    with pytest.raises(InputError, match=r"span 0\.02 mm, but the body is 30 x 30 x 60 mm.*metres"):
         observed(tmp_path, markers=markers)
     far = {n: {"at_mm": [10 * c for c in at]} for n, at in MARKERS.items()}
     with pytest.raises(InputError, match="points are outside of the body"):
@@ -189,7 +189,7 @@ def test_repeats_far_above_the_stated_noise_need_a_confirmation(tmp_path):
     assert not confirmed_scatter(observed(tmp_path))
 
 
-def test_constant_outside_its_interval_comes_before_the_verdict(tmp_path):
+def test_warns_of_constants_outside_or_at_the_end_of_an_interval(tmp_path):
     spec = read_experiment(written(tmp_path)).spec
     (text,) = outside_intervals(spec, {"E": 9.393})
     assert text.startswith("E is outside of its stated interval: 9.39e+03 kPa, stated 50 to 800")

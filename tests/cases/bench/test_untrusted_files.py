@@ -40,7 +40,7 @@ def test_marker_names_are_not_placeholders(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../foreign.csv", "{}/foreign.csv", "link.csv"])
-def test_recordings_of_an_upload_are_in_its_folder(tmp_path: Path, name: str) -> None:
+def test_rejects_recordings_outside_of_an_upload(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "upload"
     folder.mkdir()
     path = write(folder, described())
@@ -65,7 +65,7 @@ MESHES = {
     "short.stl": b"solid",
     "solid.stl": b"solid x\nendsolid x\n",
     "no_facets.stl": stl(0, 0),
-    "lying.stl": stl(2**32 - 1, 3),
+    "count.stl": stl(2**32 - 1, 3),
     "flat.stl": stl(4, 4),
     "points.vtk": VTK + b"POINTS 9999999999 float\n0 0 0\n",
     "negative.vtk": VTK + b"POINTS -5 float\n0 0 0\n",
@@ -106,7 +106,7 @@ def test_rejects_invalid_tables_briefly(tmp_path: Path, table: str) -> None:
     assert len(str(caught.value)) < 1000
 
 
-def test_huge_pictures_are_refused_before_they_are_decoded(tmp_path: Path) -> None:
+def test_rejects_huge_pictures_before_decoding(tmp_path: Path) -> None:
     # 30,000 x 30,000 pixels of one bit, run-length coded by hand: 1 KB.
     header = b"II*\0" + struct.pack("<I", 8) + struct.pack("<H", 8)
     tags = [(256, 30_000), (257, 30_000), (258, 1), (259, 32773), (262, 1), (273, 110)]
@@ -128,7 +128,7 @@ def test_huge_pictures_are_refused_before_they_are_decoded(tmp_path: Path) -> No
         {"holds": [{"region": "bottom", "axes": ["z"] * 10_000}]},
     ],
 )
-def test_extreme_numbers_give_a_message_or_an_answer(tmp_path: Path, change: dict) -> None:
+def test_extreme_numbers_raise_input_errors_or_are_read(tmp_path: Path, change: dict) -> None:
     with np.errstate(all="ignore"):
         try:
             source = open_source(write(tmp_path, described() | change))

@@ -1,1 +1,1 @@
-"""Bench specimens: one YAML file says body, loads, material and what markers showed."""
+"""Bench specimens: body, loads, materials and recordings of an experiment, from a YAML file."""

@@ -1,10 +1,10 @@
-"""A block as body-centred lattices of tetrahedra, exact to its corners.
+"""Meshes of a block: body-centred lattices of tetrahedra that reach its corners exactly.
 
 Voxels would round the edges, and the bending stiffness of a beam grows with the third
 power of its height. A lattice has a node at the corners and at the centre of each cell.
-Four tetrahedra around each face join the centres on its two sides (the lattice of
-F. Labelle and J. R. Shewchuk, ACM Trans. Graph. 26 (2007) 57); at the outside two join one
-centre with a face.
+Four tetrahedra around each inner face connect the centres on its two sides (the lattice of
+F. Labelle and J. R. Shewchuk, ACM Trans. Graph. 26 (2007) 57); two connect each outer face
+to the centre next to it.
 """
 
 from itertools import pairwise
@@ -22,10 +22,11 @@ Cells = tuple[int, int, int]
 Numbers = NDArray[np.int64]
 
 FEWEST_CELLS = 4  # across the shortest side of the finest lattice
-COARSEST_CELLS = 3  # across the shortest side of the coarsest one
-# Nodes of a lattice that is factored as a whole; of a larger one the long sides are halved alone.
+COARSEST_CELLS = 3  # across the shortest side of the coarsest lattice
+# Nodes of the largest lattice that is factored directly; a larger one is halved along its long
+# sides only.
 MOST_FACTORED = 1000
-# A block so many times wider than thick may be a sheet.
+# A block this many times wider than thick may be modelled as a sheet.
 THIN = 20.0
 
 
@@ -35,11 +36,11 @@ def block(size_mm: Triple, nodes: int, tissue: Tissue = Tissue.FAT) -> Hierarchy
     Parameters
     ----------
     size_mm : tuple of float
-        Along x, y and z, > 0.
+        Lengths along x, y and z, > 0.
     nodes : int
-        Wanted number of the finest lattice; met as near as whole cells allow.
+        Requested number of nodes of the finest lattice, met as closely as whole cells allow.
     tissue : Tissue
-        Of all its elements.
+        Tissue of all elements.
 
     Raises
     ------
@@ -50,7 +51,7 @@ def block(size_mm: Triple, nodes: int, tissue: Tissue = Tissue.FAT) -> Hierarchy
 
 
 def lattices(size_mm: Triple, finest: Cells, tissue: Tissue = Tissue.FAT) -> Hierarchy:
-    """Mesh a block by a lattice of these cells and coarser ones, each of half as many."""
+    """Mesh a block by a lattice with these cells and coarser ones, each with half as many."""
     cells = [finest]
     while (coarser := _coarser(cells[0])) is not None:
         cells.insert(0, coarser)
@@ -70,7 +71,7 @@ def lattices(size_mm: Triple, finest: Cells, tissue: Tissue = Tissue.FAT) -> Hie
 
 
 def _coarser(cells: Cells) -> Cells | None:
-    """Return half as many cells, where they are many along the long sides only; None if few."""
+    """Halve the cells, along the long sides only if the others have few; None if all have few."""
     long = [n >= 2 * COARSEST_CELLS for n in cells]
     if (not all(long) and _count(np.array(cells)) <= MOST_FACTORED) or not any(long):
         return None
@@ -79,12 +80,12 @@ def _coarser(cells: Cells) -> Cells | None:
 
 
 def cells_of(size_mm: Triple, nodes: int) -> Cells:
-    """Return cells that are as nearly cubes as can be, for about so many nodes.
+    """Return the numbers of nearly cubic cells along x, y and z for a number of nodes.
 
     Raises
     ------
     InputError
-        If they are fewer than four across the shortest side.
+        If there are fewer than four cells across the shortest side.
     """
     size = np.asarray(size_mm, np.float64)
     low, high = 0.0, nodes / float(size.min())  # cells per mm
@@ -104,12 +105,12 @@ def cells_of(size_mm: Triple, nodes: int) -> Cells:
 
 
 def _or_a_sheet(size_mm: Triple) -> str:
-    """Return the hint that a thin block can be a sheet; empty for others."""
+    """Return a hint to model a thin block as a sheet; empty for other blocks."""
     thin, middle, _ = sorted(size_mm)
     if middle < THIN * thin:
         return ""
     x, y = (f"{side:g}" for side in size_mm if side > thin)
-    return f"; or state it as a sheet: {{size_mm: [{x}, {y}], thickness_mm: {thin:g}}}"
+    return f"; or describe it as a sheet: {{size_mm: [{x}, {y}], thickness_mm: {thin:g}}}"
 
 
 def _count(cells: FloatArray) -> float:
@@ -117,7 +118,7 @@ def _count(cells: FloatArray) -> float:
 
 
 def lattice(size_mm: Triple, cells: Cells) -> TetMesh:
-    """Return one body-centred lattice: first the corners of the cells, then their centres."""
+    """Return a body-centred lattice: first the corners of the cells, then their centres."""
     c = np.asarray(cells)
     corner, cell = _all_of(c + 1), _all_of(c)
     nodes = np.vstack([corner, cell + 0.5]) / c * np.asarray(size_mm)
@@ -131,12 +132,12 @@ def _all_of(count: Numbers) -> Numbers:
 
 
 def _number(at: Numbers, count: Numbers) -> Numbers:
-    """Return the place of triples in the order of `_all_of`."""
+    """Return the indices of triples in the order of `_all_of`."""
     return np.asarray((at[:, 0] * count[1] + at[:, 1]) * count[2] + at[:, 2])
 
 
 def _across(cells: Numbers, axis: int) -> list[Numbers]:
-    """Return tetrahedra at the faces normal to an axis."""
+    """Return the tetrahedra at the faces normal to an axis."""
     e = np.eye(3, dtype=np.int64)
     b, d = (a for a in range(3) if a != axis)
     face = _all_of(cells + e[axis])
@@ -150,7 +151,7 @@ def _across(cells: Numbers, axis: int) -> list[Numbers]:
     found = [
         np.column_stack([below, above, ring[:, k], ring[:, (k + 1) % 4]])[inside] for k in range(4)
     ]
-    # Diagonals of neighbouring outer faces meet, so that no direction is stiffer.
+    # Alternate the diagonals of neighbouring outer faces, so that no direction is stiffer.
     odd = face.sum(axis=1) % 2 == 1
     ring = np.where(odd[:, None], np.roll(ring, 1, axis=1), ring)
     centre = np.where(face[:, axis] == 0, above, below)

@@ -1,4 +1,4 @@
-"""The body of an experiment: its shape, its mesh, and what stands on its surface."""
+"""The body of an experiment: shape, mesh and arms of markers on its surface."""
 
 from collections.abc import Sequence
 from functools import cached_property
@@ -25,14 +25,14 @@ from palpate.workers.organs.specimen.readings.spec import FinitePoint
 from palpate.workers.organs.specimen.spec import SpecimenSpec
 from palpate.workers.organs.specimen.surface_normal import outward_normals
 
-# A point off the mesh by more than this lies on another body.
+# A point farther from the mesh is not on this body.
 FARTHEST_MM = 3.0
-# The turn of the surface is read off this many elements below it.
+# Depth over which the rotation of the surface is computed, in elements.
 ELEMENTS_DEEP = 2.0
 
 
 class Body:
-    """A block, or what a mesh file holds.
+    """A block, or the body of a mesh file.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ class Body:
         self.voxels = voxels
 
     def mesh(self, nodes: int) -> Hierarchy:
-        """Return nested meshes of about so many nodes.
+        """Return nested meshes with about this many nodes.
 
         Raises
         ------
         InputError
-            If there are too few, or the file holds no body.
+            If there are too few nodes, or the file contains no body.
         """
         box = self.spec.body.box_mm
         if box is not None:
@@ -59,7 +59,7 @@ class Body:
         return mesh_whole_body(self._volume, nodes=nodes)
 
     def model(self, nodes: int) -> Any:
-        """Return a mesh of about so many nodes, ready to be solved; see `mesh`."""
+        """Return a mesh of about this many nodes, prepared for the solver; see `mesh`."""
         return prepare(self.mesh(nodes))
 
     def frame(self, model: Any) -> Frame:
@@ -67,7 +67,7 @@ class Body:
         return frame_of(model.finest.nodes)
 
     def at_points(self, model: Any, points_mm: FloatArray) -> csr_matrix:
-        """Return the matrix from values at nodes to values at points, shape (k, n)."""
+        """Return the interpolation matrix from nodes to points, shape (k, n)."""
         return interpolation(_mesh_of(model), points_mm, FARTHEST_MM)
 
     def arms(
@@ -77,15 +77,15 @@ class Body:
         outward: Sequence[FinitePoint | None],
         names: Sequence[str],
     ) -> csr_matrix:
-        """Return the motion of arms on the surface; see `arms`."""
+        """Return the matrix of the motion of arms on the surface; see `arms`."""
         return arms(_mesh_of(model), feet_mm, outward, names)
 
     def forward(self, cells: Sequence[LoadCell]) -> Forward:
-        """Return what solves the body, and reads load cells."""
+        """Return the forward model of the body, with its load cells."""
         return TetrahedraWithCells(cells) if cells else Tetrahedra()
 
     def edges(self, model: Any) -> IntArray:
-        """Return pairs of nodes that show the shape of the body, shape (e, 2)."""
+        """Return the sharp edges of the body as pairs of nodes, shape (e, 2)."""
         finest = model.finest
         return sharp_edges(finest.nodes, boundary_triangles(finest.elements.tets))
 
@@ -105,7 +105,7 @@ class Body:
 
     @property
     def base_mm(self) -> Triple:
-        """About the middle of what is held; where nothing is, of what is moved."""
+        """Approximate centre of the held regions or, if none is held, of the moved regions."""
         low, high = self.box_mm
         middles = []
         moved = (move.region for move in self.spec.states[0].moves)
@@ -127,7 +127,7 @@ class Body:
 
     @property
     def _volume(self) -> Volume:
-        """Voxels of a body that comes from a file."""
+        """Voxels of a body from a file."""
         if self.voxels is None:
             raise AssertionError("a block has no voxels")
         return self.voxels
@@ -143,26 +143,27 @@ def arms(
     outward: Sequence[FinitePoint | None],
     names: Sequence[str],
 ) -> csr_matrix:
-    """Return motion of the ends of arms of 1 mm on the surface against their feet, shape (k, n).
+    """Return the matrix of the motion of arm ends relative to their feet, shape (k, n).
 
-    A marker is glued to a patch and turns as the material below does: the turn is a
-    difference over two elements along the normal, which also evens out what a load next
-    to the marker does to single elements.
+    Arms are 1 mm long. A marker is glued to a patch and rotates with the material below it: the
+    rotation is a difference over two elements along the normal, which also smooths the
+    distortion of single elements by a load next to the marker.
 
     Parameters
     ----------
     mesh : TetMesh
-        Of n nodes.
+        Mesh with n nodes.
     feet_mm : ndarray, shape (k, 3)
+        Points of the surface on which the arms are fixed.
     outward : sequence
         Direction of each arm; None for the normal of the surface.
     names : sequence of str
-        Of the points, for messages.
+        Names of the points, for messages.
 
     Raises
     ------
     InputError
-        If a point lies on an edge and has no direction.
+        If a point is on an edge and has no stated direction.
     """
     triangles = boundary_triangles(mesh.tets)
     normals = outward_normals(mesh.nodes, triangles, feet_mm, outward, names)

@@ -1,14 +1,14 @@
-r"""What the noise of a measured boundary does to the points that are compared.
+r"""Noise that a measured boundary adds to the points that are compared.
 
-A region that moves as b points of a field show follows their noise. The affine part of it reaches
-all of the body: with sd sigma of a point and rows ``(1, p - middle)`` in A, its coefficients have
-the covariance
+A region whose motion is prescribed by b points of a field follows their noise. The affine part
+of this noise moves the whole body: with standard deviation sigma of a point and rows
+``(1, p - middle)`` in A, its coefficients have the covariance
 
 .. math:: \sigma^2 (A'A)^{-1}
 
-along each axis: with A = U S V', the region moves by the columns of U, sigma times each, and every
-point follows as the model says. What is left changes sign
-from point to point and fades within their distance; it is left out.
+along each axis. With A = U S V', the region moves by sigma times each column of U, and the model
+predicts the motion of every other point. The rest of the noise changes sign from point to point
+and decays within their spacing; it is neglected.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ from palpate.workers.mechanics.fem.equilibrium.sensitivity import RELATIVE_ERROR
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.fem.problem.loads import DisplacementField, Hold
 
-# Singular values below this part of the largest are those of points in a plane.
+# If a singular value is below this fraction of the largest, the points are in a plane.
 FLAT = 1e-9
 
 
@@ -43,11 +43,11 @@ def boundary_covariance(
     forward : Forward
     model : Model
     compared : callable
-        From displacements of the nodes to what is compared of them in one state, shape (m,).
+        Maps displacements of the nodes to the compared components of one state, shape (m,).
     problems : sequence of Problem
-        Of the s states, with constants in the middle of what is plausible.
+        Problems of the s states, with constants in the middle of their intervals.
     sd_mm : float
-        Of a component of a point of the field; states err apart.
+        Standard deviation of a component of a point of the field, independent between states.
 
     Raises
     ------
@@ -59,7 +59,7 @@ def boundary_covariance(
         at = forward.equilibrium(model, problem)
         if not at.solution.outcome.converged:
             raise InputError(
-                "A state was not solved at the middle of the plausible constants: "
+                "A simulation with constants in the middle of their intervals failed: "
                 f"{at.solution.outcome.reason}. Check loads, units, E_kpa and nu."
             )
         changes = [
@@ -78,12 +78,12 @@ def boundary_covariance(
 def affine_changes(
     problem: Problem, number: int, field: DisplacementField, sd_mm: float
 ) -> list[Change]:
-    """Return changes of one hold by each affine mode, one standard deviation each."""
+    """Return changes of one hold by one standard deviation of each affine mode."""
     points, moved = np.array(field.points_mm), np.array(field.displacement_mm)
     A = np.column_stack([np.ones(len(points)), points - points.mean(axis=0)])
     U, sizes, _ = np.linalg.svd(A, full_matrices=False)
     found = []
-    # Points of a plane do not tell how the motion changes across it: three modes, not four.
+    # Points in a plane do not determine the change across it: three modes, not four.
     for mode in sd_mm * U[:, sizes > FLAT * sizes[0]].T:
         for axis in range(3):
             step = np.outer(mode, np.eye(3)[axis])

@@ -1,4 +1,4 @@
-"""What hides in the constants: how far each effect that no data can show would move stiffness."""
+"""Change of the fitted stiffness by each effect that the data cannot separate from it."""
 
 from collections.abc import Mapping, Sequence
 
@@ -16,16 +16,16 @@ from palpate.workers.units import KPA
 def confounded_effects(
     diagnosis: Diagnosis, effects: Sequence[Effect]
 ) -> tuple[ConfoundedEffect, ...]:
-    """Return the constants with and without each effect that they hide.
+    """Return the constants with and without each confounded effect.
 
-    An effect whose size is known if it acts is fitted with it. Of the others the change is
-    that of the linear model, at one prior standard deviation.
+    An effect whose size is known if present is included in a new fit. For the others the change
+    is computed with the linear model, at one prior standard deviation.
 
     Parameters
     ----------
     diagnosis : Diagnosis
     effects : sequence of Effect
-        The catalogue.
+        The catalogue of effects.
     """
     best = diagnosis.best
     base = best.fit if best is not None else diagnosis.analysis.nominal
@@ -59,7 +59,7 @@ def confounded_effects(
 def linear_change(
     diagnosis: Diagnosis, effect: Effect, before: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return constants that make good for an effect of its plausible size."""
+    """Return the constants that compensate for an effect of plausible size, by the linear model."""
     analysis = diagnosis.analysis
     columns = analysis.sensitivity_by_name[effect.name].places[0]
     away = np.array([effect.plausible[n] - effect.neutral[n] for n in effect.names])
@@ -73,7 +73,7 @@ def linear_change(
 def fitted_with(
     diagnosis: Diagnosis, base: Fit, effect: Effect, near: Mapping[str, float]
 ) -> dict[str, float] | None:
-    """Return constants with the effect added to a fit; None if that was not solved."""
+    """Return the constants of a fit with the effect added; None if it did not converge."""
     inverse = diagnosis.analysis.inverse
     free = unknowns(inverse.free, (*base.unknowns.effects, effect))
     z = free.mean.copy()

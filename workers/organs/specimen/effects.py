@@ -1,4 +1,4 @@
-"""The effects that are suspected when a simulated specimen differs from a measured one."""
+"""Catalogue of effects that may explain a gap between a simulated and a measured specimen."""
 
 from dataclasses import replace
 
@@ -22,21 +22,21 @@ RELAXED = replace(
 # Known or possible causes that have no effect here; a diagnosis will report "none of these" or
 # the closest listed effect.
 NOT_SIMULATED: tuple[tuple[str, str], ...] = (
-    ("slip in a grip", "regions that are moved follow exactly what is stated or measured"),
+    ("slip in a grip", "moved regions follow the stated or measured displacement exactly"),
     ("layers and inclusions", "each material is the same everywhere in its part of the body"),
     ("fibres", "the law of the material has no direction"),
     ("stress at rest", "the body is free of stress in the shape that the file describes"),
-    ("friction", "places that are held or loaded do not slide against a support"),
+    ("friction", "held or loaded regions do not slide on a support"),
 )
 NO_STIFFENING = (
     "strain stiffening",
-    "no material is neo-Hookean: the shape constants of its law say how it stiffens",
+    "no material is neo-Hookean: the shape constants of its law describe stiffening",
 )
 BENDING = (
     "bending and wrinkles",
-    "a sheet resists stretching alone, and stays flat where it is compressed",
+    "a sheet resists only stretching, and stays flat where it is compressed",
 )
-# A direction whose part across a sheet is smaller lies in its plane.
+# A direction with a smaller component normal to a sheet is in its plane.
 IN_PLANE = 1e-6
 
 
@@ -56,23 +56,23 @@ def specimen_effects(
     Parameters
     ----------
     down : tuple of float
-        Direction of gravity, of length 1.
+        Unit vector of gravity.
     base_mm : tuple of float
-        Middle of the places that are held.
+        Centre of the held regions.
     loaded : Region or None
-        Where something may hang; None if no force acts.
+        Region on which an added mass may hang; None if no force acts.
     weightless : bool
         Whether the model has no gravity.
     markers : bool
-        Whether markers were observed, and not points of the body itself.
+        Whether markers were observed, rather than points of the body itself.
     clamped : bool
-        Whether the body is held by the plane in which it ends.
+        Whether the body is held at its lowest plane.
     known_nu : bool
-        Whether Poisson's ratios are stated: one that is searched is a constant, no effect.
+        Whether all Poisson's ratios are fixed; a fitted one is a constant, not an effect.
     can_stiffen : bool
-        Whether any material is neo-Hookean; the shape constants of other laws say how they stiffen.
+        Whether any material is neo-Hookean; other laws stiffen by their shape constants.
     is_sheet : bool
-        Whether the body is a sheet, whose weight is felt in its plane only.
+        Whether the body is a sheet, on which only weight in its plane has an effect.
     """
     is_felt = not is_sheet or abs(down[2]) < IN_PLANE
     effects: list[Effect] = [self_weight(down)] if weightless and is_felt else []

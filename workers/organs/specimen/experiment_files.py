@@ -1,6 +1,6 @@
-"""A bench experiment as files: a YAML file, the recordings and the mesh that it names.
+"""Files of a bench experiment: a YAML file and the recordings and mesh that it names.
 
-The only file that opens them; all others get what stands in them.
+Only this module finds and opens them; others receive their content.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,12 +25,12 @@ def read_experiment(path: Path) -> SpecimenSource:
     Parameters
     ----------
     path : Path
-        The YAML file; what it names lies relative to its folder.
+        The YAML file; the paths in it are relative to its folder.
 
     Raises
     ------
     InputError
-        If the file does not make sense, or files, markers and body do not go together.
+        If the file is invalid, or files, markers and body are inconsistent.
     """
     spec = read_spec(path)
     for file in files_of(spec, path):
@@ -47,26 +47,26 @@ def read_experiment(path: Path) -> SpecimenSource:
 
 
 def files_of(spec: SpecimenSpec, path: Path) -> list[Path]:
-    """Return all files that the result depends on: the file itself, the mesh, the recordings."""
+    """Return all files on which the result depends: the file itself, mesh and recordings."""
     mesh = spec.body.mesh
     recordings = [named_by(path, file) for state in spec.states for file in state.files]
     return [path, *([named_by(path, mesh)] if mesh else []), *dict.fromkeys(recordings)]
 
 
 class ExperimentReader:
-    """See `workers.organs.source_registry.Reader`."""
+    """Reader of bench experiments; see `workers.organs.source_registry.Reader`."""
 
     plans = False
 
     def knows(self, path: Path) -> bool:
-        """Return whether a path is a file that may describe an experiment."""
+        """Test whether a path may be the file of an experiment."""
         if path.suffix not in (".yaml", ".yml") or not path.is_file():
             return False
         try:
             data = parse_yaml(read_text(path), str(path))
         except (OSError, UnicodeDecodeError, InputError):
-            return True  # reading it will name the mistake
-        # An organ that is scanned is no specimen on a bench.
+            return True  # reading it will report the error
+        # A file with scans or another organ is not a bench experiment.
         return not isinstance(data, Mapping) or not (
             "scans" in data or data.get("organ") in organ_names()
         )
@@ -74,17 +74,17 @@ class ExperimentReader:
     def read(
         self, path: Path, stored: Callable[[str], Volume | None] | None = None
     ) -> SpecimenSource:
-        """Read an experiment with its recordings and its mesh; it names no volumes of a store."""
+        """Read an experiment with its recordings and mesh; `stored` is not used."""
         return read_experiment(path)
 
     def read_planned(
         self, path: Path, stored: Callable[[str], Volume | None] | None = None
     ) -> None:
-        """Return nothing: further scans are no measurements of a bench."""
+        """Return None: planning further scans does not apply to a bench experiment."""
         return
 
     def understood(self, path: Path) -> list[tuple[str, str]]:
-        """Return what the experiment was understood to say."""
+        """Return a table of the experiment as it was read: names and texts."""
         return [("read from", str(path)), *understood(read_spec(path))]
 
 

@@ -1,7 +1,7 @@
-"""The balance of forces: how much of the loads the numerical supports of the solver carry.
+"""Balance of forces: the part of the loads that numerical supports of the solver carry.
 
-Weak springs keep a body from drifting. Against a soft body, or small forces, they are felt,
-and then what a load cell reads depends on which end is called fixed.
+Weak springs keep a body from drifting. For a soft body or small forces they matter, and
+the reading of a load cell then depends on which end is fixed.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from palpate.workers.mechanics.fem.elements.model import LevelModel
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.organs.specimen.spec import StateSpec
 
-# Supports that carry less than this part of the known forces are not felt.
+# Supports that carry less than this fraction of the known forces are negligible.
 MOST_OF_FORCES = 0.01
 
 
@@ -25,10 +25,10 @@ def support_force_n(model: LevelModel, problem: Problem, moved_mm: FloatArray) -
     Parameters
     ----------
     model : LevelModel
-        The finest level, of n nodes.
+        The finest level, with n nodes.
     problem : Problem
     moved_mm : ndarray, shape (n, 3)
-        Displacement of its nodes.
+        Displacements of its nodes.
     """
     springs = spring_stiffness(model, problem) - stated_springs(model, problem)
     return float(np.linalg.norm((springs * moved_mm).sum(axis=0)))
@@ -40,7 +40,7 @@ def supported(
     states: Sequence[StateSpec],
     moved_mm: Sequence[FloatArray],
 ) -> tuple[str, ...]:
-    """Return a sentence for each state whose numerical supports are felt.
+    """Return a warning for each state whose numerical supports carry a noticeable force.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def supported(
     problems, states
         One for each scan.
     moved_mm : sequence of ndarray
-        Displacements of the nodes, and of load cells beyond them.
+        Displacements of the nodes, followed by those of load cells.
     """
     found, model = [], inverse.model.finest
     for problem, state, moved in zip(problems, states, moved_mm, strict=True):
@@ -58,7 +58,7 @@ def supported(
         if loads and held > MOST_OF_FORCES * max(loads) > 0:
             found.append(
                 f"Numerical supports carry {held:.2g} N in the state {state.name}, "
-                f"{100 * held / max(loads):.2g} % of the largest force on the body: forces do not "
-                "balance to that extent, and stiffness errs by as much."
+                f"{100 * held / max(loads):.2g} % of the largest force on the body: loads are out "
+                "of balance by that much, and the stiffness may be wrong by as much."
             )
     return tuple(found)

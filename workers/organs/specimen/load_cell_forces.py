@@ -1,4 +1,4 @@
-"""What the model says that load cells read: forces that hold regions, as nodes beyond the mesh."""
+"""Predicted readings of load cells: forces that hold regions, as extra nodes after the mesh."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from palpate.workers.organs.specimen.load_cells import LoadCell
 
 @dataclass(frozen=True, eq=False)
 class EquilibriumWithCells:
-    """An equilibrium whose solution has one more node for each cell; see `TetrahedraWithCells`."""
+    """An equilibrium whose solution has an extra node for each load cell."""
 
     at: Equilibrium
     solution: Solution
@@ -30,7 +30,9 @@ class EquilibriumWithCells:
 
 
 class TetrahedraWithCells(Tetrahedra):
-    """See `diagnosis.problem.forward.Forward`; load cells are nodes beyond those of the mesh.
+    """Forward model of a body with load cells as extra nodes after the mesh.
+
+    See `workers.diagnosis.problem.forward.Forward`.
 
     Parameters
     ----------
@@ -64,7 +66,7 @@ class TetrahedraWithCells(Tetrahedra):
         return super().pressed(at.at)
 
     def _read(self, at: Equilibrium, forces: FloatArray) -> FloatArray:
-        """Return what the cells read of forces on the nodes, (b, n, 3): (b, c, 3), in mm."""
+        """Return readings of the cells in mm, (b, c, 3), from forces on the nodes, (b, n, 3)."""
         found, level = np.zeros((len(forces), len(self.cells), 3)), at.levels[-1].model
         for number, cell in enumerate(self.cells):
             inside = nodes_in(cell.region, level.nodes, level.edge_mm)

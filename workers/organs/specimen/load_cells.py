@@ -1,10 +1,10 @@
-"""Forces that a testing machine needs to move a region, as further points that a fit compares.
+"""Forces by which a testing machine moves regions, as additional points of a fit.
 
-A load cell is one more point, whose displacement is the force that it reads: the noise of its
-reading counts as much as that of a point of the field. So whatever asks how constants and effects
-move the points asks how they change the forces, too. Load cells lie far from the body and from
-each other, so nothing that is smooth in space relates them. What a model says they read is found
-in `workers.organs.specimen.load_cell_forces`.
+A load cell is an additional point whose displacement is its reading, scaled so that its noise
+equals the noise of a point of the field. Derivatives by constants and effects therefore include
+the forces. Load cells are placed far from the body and from each other, so that no spatial
+correlation connects them. Their readings are predicted in
+`workers.organs.specimen.load_cell_forces`.
 """
 
 from collections.abc import Sequence
@@ -20,20 +20,20 @@ from palpate.workers.mechanics.fem.problem.regions import Region
 from palpate.workers.organs.specimen.problem import AXES, region_of
 from palpate.workers.organs.specimen.spec import SpecimenSpec, StateSpec
 
-# Of load cells, times their number: no correlation length reaches so far.
+# Spacing of load cells, far beyond any correlation length.
 FAR_MM = 1e6
 
 
 @dataclass(frozen=True, slots=True)
 class LoadCell:
-    """What holds a region along an axis, and reads the force on the body.
+    """A load cell that holds a region along an axis and measures the force on the body.
 
     Parameters
     ----------
     region : Region
     axis : int
     mm_per_n : float
-        Displacement that stands for a force.
+        Displacement that represents a force of 1 N.
     """
 
     region: Region
@@ -47,9 +47,9 @@ def load_cells(spec: SpecimenSpec, sd_mm: float) -> tuple[LoadCell, ...]:
     Parameters
     ----------
     spec : SpecimenSpec
-        All of whose states list the same reactions.
+        Experiment whose states all have the same reactions.
     sd_mm : float
-        Of a component of a point: as much as the noise of a cell stands for.
+        Standard deviation of a component of a point, to which the noise of each cell is scaled.
     """
     sd_n = np.array([[one.sd_n for one in state.reactions] for state in spec.states])
     return tuple(
@@ -59,13 +59,13 @@ def load_cells(spec: SpecimenSpec, sd_mm: float) -> tuple[LoadCell, ...]:
 
 
 def readings_mm(state: StateSpec, cells: Sequence[LoadCell]) -> FloatArray:
-    """Return what the cells have read in a state, as displacements, shape (c,)."""
+    """Return the measured readings of a state as displacements, shape (c,)."""
     pairs = zip(state.reactions, cells, strict=True)
     return np.array([one.force_n * cell.mm_per_n for one, cell in pairs])
 
 
 def with_load_cells(points: InterfacePoints, cells: Sequence[LoadCell]) -> InterfacePoints:
-    """Return the points with one more for each cell, whose normal is the axis of the cell."""
+    """Add a point for each load cell, whose normal is the axis of the cell."""
     count = len(cells)
     away = FAR_MM * np.outer(1.0 + np.arange(count), [1.0, 0.0, 0.0])
     return InterfacePoints(
@@ -80,15 +80,15 @@ def with_load_cells(points: InterfacePoints, cells: Sequence[LoadCell]) -> Inter
 def covariance_with(
     covariance: FloatArray, spec: SpecimenSpec, cells: Sequence[LoadCell]
 ) -> FloatArray:
-    """Return the covariance of points and cells, state by state.
+    """Return the covariance of points and load cells, state by state.
 
     Parameters
     ----------
     covariance : ndarray, shape (s k, s k)
-        Of k components of points in each of s states, in mm^2.
+        Covariance of k components of points in each of s states, in mm^2.
     spec : SpecimenSpec
     cells : sequence of LoadCell
-        c of them; readings err apart.
+        The c load cells; errors of their readings are independent.
 
     Returns
     -------

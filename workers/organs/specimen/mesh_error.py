@@ -1,13 +1,13 @@
-r"""How much stiffer a mesh is than the body, from two meshes.
+r"""Excess stiffness of a mesh, estimated from two meshes.
 
-Linear tetrahedra do not bend: a beam of eight of them across gives way by 3 % less than it
-should. Displacements under given loads approach their limit with the square of the element,
+Linear tetrahedra cannot bend: a beam with eight of them across deflects 3 % too little.
+Displacements under given loads converge with the square of the element size,
 
 .. math:: u_h = u + c h^2 \quad\Rightarrow\quad u = u_h + \frac{u_h - u_H}{(H/h)^2 - 1}
 
-(L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307), so a coarser mesh tells what the
-working mesh lacks. Where displacements are inverse to the stiffness, a material that is
-softer by the same part makes good for it.
+(L. F. Richardson, Phil. Trans. R. Soc. A 210 (1911) 307), so a coarser mesh shows the
+error of the working mesh. Where displacements are inversely proportional to the stiffness,
+softening the material by the same factor corrects it.
 """
 
 import numpy as np
@@ -20,7 +20,7 @@ from palpate.workers.mechanics.fem.equilibrium.solve import solve
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.organs.specimen.block import Cells, cells_of, lattices
 
-# Cells of the coarser lattice over those of the working one.
+# Ratio of cells along a side, coarser to working lattice.
 COARSER = 0.75
 FEWEST = 3
 
@@ -28,22 +28,22 @@ FEWEST = 3
 def part_of_compliance(
     size_mm: Triple, nodes: int, points_mm: FloatArray, problem: Problem
 ) -> float:
-    """Return displacement of some points on the working mesh over that of the body.
+    """Return the ratio of displacements on the working mesh to the extrapolated ones.
 
     Parameters
     ----------
     size_mm : tuple of float
-        Of the block.
+        Size of the block.
     nodes : int
-        Of the working mesh.
+        Number of nodes of the working mesh.
     points_mm : ndarray, shape (k, 3)
     problem : Problem
-        A loading of the body in which the points move.
+        Load case in which the points move.
 
     Returns
     -------
     float
-        At most 1; 1 where the mesh is as coarse as can be, or nothing moves.
+        At most 1; 1 if no coarser mesh is possible, or nothing moves.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def _moved(size_mm: Triple, cells: Cells, points_mm: FloatArray, problem: Proble
     solution = solve(model, problem)
     if not solution.outcome.converged:
         raise InputError(
-            "The body was not solved under its loads at the middle of the plausible stiffness: "
+            "The simulation with E in the middle of its interval failed: "
             f"{solution.outcome.reason}. Check loads, units and E_kpa."
         )
     return np.asarray(interpolation(hierarchy.finest.mesh, points_mm) @ solution.displacement_mm)

@@ -1,6 +1,6 @@
-"""Checks of a bench experiment: its points against its body, and what was fitted against its file.
+"""Plausibility checks of a bench experiment: its points, its body and its fitted constants.
 
-See `workers.organs.study_checks` for what a finding does.
+See `workers.organs.study_checks` for the effect of a finding.
 """
 
 from collections.abc import Iterator, Mapping
@@ -14,22 +14,22 @@ from palpate.workers.organs.specimen.spec import SpecimenSpec
 from palpate.workers.organs.study_checks import Finding
 from palpate.workers.units import KPA
 
-# Points that span less than this part of the body are in another unit.
+# Points that span less than this fraction of the body are in another unit.
 LEAST_SPAN = 0.01
-# How far a point may be outside of the box of the body: in mm, and as a part of its diagonal.
+# Largest distance of a point from the box of the body: in mm, plus a fraction of its diagonal.
 FARTHEST_MM, FARTHEST_PART = 3.0, 0.05
 # Displacements whose mean square is less than this many variances of the noise, and whose
 # largest is less than this many standard deviations, are noise.
 LEAST_VARIANCE, LEAST_LARGEST = 1.5, 5.0
-# A constant this near to the end of its interval, as a part of the width of its logarithm, is
-# at the end.
+# A constant this close to an end of its interval, as a fraction of its logarithmic width, is at
+# the end.
 AT_END = 1e-3
 
 
 def findings(
     observed: Observed, spec: SpecimenSpec, low_mm: FloatArray, high_mm: FloatArray
 ) -> Iterator[Finding]:
-    """Yield the reasons for which an experiment is not diagnosed.
+    """Yield the reasons why an experiment cannot be diagnosed.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ def _span(observed: Observed, low_mm: FloatArray, high_mm: FloatArray) -> str:
     if len(observed.points_mm) < 2 or span >= LEAST_SPAN * diagonal:
         return ""
     return (
-        f"The {len(observed.points_mm)} points span {span:.2g} mm of a body of "
-        f"{_sizes(low_mm, high_mm)} mm. Places are in mm in the frame of the body: check whether "
-        "they are in metres."
+        f"The {len(observed.points_mm)} points span {span:.2g} mm, but the body is "
+        f"{_sizes(low_mm, high_mm)} mm. Positions are in mm in the frame of the body: check "
+        "whether they are in metres."
     )
 
 
@@ -71,8 +71,8 @@ def _outside(observed: Observed, low_mm: FloatArray, high_mm: FloatArray) -> str
     return (
         f"{int((away > limit).sum())} of {len(points)} points are outside of the body, "
         f"{observed.names[worst]} by {away[worst]:.4g} mm; the body reaches from "
-        f"{_corner(low_mm)} to {_corner(high_mm)} mm. Give places in mm in the frame of the body, "
-        "and check mm_per_unit of a mesh file."
+        f"{_corner(low_mm)} to {_corner(high_mm)} mm. Give positions in mm in the frame of the "
+        "body, and check mm_per_unit of a mesh file."
     )
 
 
@@ -86,8 +86,8 @@ def _too_large(
         return ""
     return (
         f"{observed.names[point]} moves by {size[state, point]:.4g} mm in the state "
-        f"{spec.states[state].name}, farther than the body is large ({diagonal:.4g} mm). Check the "
-        "unit (mm_per_unit), and whether the marker was lost."
+        f"{spec.states[state].name}, farther than the size of the body ({diagonal:.4g} mm). Check "
+        "the unit (mm_per_unit), and whether the marker was lost."
     )
 
 
@@ -115,14 +115,14 @@ def _scatter(observed: Observed, spec: SpecimenSpec) -> str:
 
 
 def confirmed_scatter(observed: Observed) -> tuple[str, ...]:
-    """Return the sentence with which a result begins whose noise the file confirms."""
+    """Return a note for the start of the result if the file confirms excessive scatter."""
     if not observed.scatter:
         return ()
     return (f"{observed.scatter} The file confirms it, and the larger scatter is used.",)
 
 
 def outside_intervals(spec: SpecimenSpec, values: Mapping[str, float]) -> tuple[str, ...]:
-    """Return a sentence for each fitted constant outside, or at an end, of its interval.
+    """Return a warning for each fitted constant that is outside or at an end of its interval.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def _beyond(name: str, value: float, interval: tuple[float, float], unit: str) -
         return ""
     return (
         f"{name} is outside of its stated interval: {value:.3g}{unit}, stated {within}. Check "
-        "units and loads: this value is not to be relied on."
+        "units and loads, and do not rely on this value."
     )
 
 

@@ -1,4 +1,4 @@
-"""What a fitted model expects of a state that was not measured."""
+"""Predictions of a fitted model for states that were not measured."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,24 +12,24 @@ from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, Sc
 from palpate.workers.diagnosis.problem.scan_prediction import PredictedScan, predict_scan
 from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
 
-# Of a parameter, in standard deviations of its posterior.
+# Step of the finite differences, in standard deviations of the posterior.
 STEP = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The m compared components of displacement of a state, and how surely they are expected.
+    """Predicted displacements of a state, as m compared components with standard deviations.
 
     Parameters
     ----------
     name : str
-        Of the state.
+        Name of the state.
     moved_mm, sd_mm : ndarray, shape (m,)
-        In the frame of the body. The standard deviation has a part of the fitted parameters and
-        one of what the fit leaves unexplained, see `unexplained_sd`; another recording scatters
-        on top of it.
+        In the frame of the body. The standard deviation combines the uncertainty of the fitted
+        parameters and the unexplained residual, see `unexplained_sd`; the noise of a new
+        recording comes on top.
     force_mm, force_sd_mm : ndarray, shape (c,)
-        The same of what load cells would read, as the displacements that stand for it.
+        Predicted readings of the load cells, as displacements, with standard deviations.
     """
 
     name: str
@@ -40,16 +40,16 @@ class Prediction:
 
 
 def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[Prediction]:
-    """Simulate other states of a body with what was fitted.
+    """Simulate other states of a body with the fitted parameters.
 
     Parameters
     ----------
     inverse : InverseProblem
-        Whose points are seen along x, y and z, one after another.
+        Inverse problem whose points are compared along x, y and z, one after another.
     fit : Fit
-        Of the constants, and of effects where some act.
+        Fit of the constants and of any effects.
     states : sequence of Scan
-        That compare with a body that has not moved.
+        States whose residuals are relative to the body at rest.
 
     Raises
     ------
@@ -73,10 +73,10 @@ def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[P
 
 
 def unexplained_sd(inverse: InverseProblem, fit: Fit) -> FloatArray:
-    """Return what the fit leaves beyond the noise, for each compared component, in mm.
+    """Return the residual of the fit in excess of the noise, for each compared component, in mm.
 
     It is the root mean square over all states and all components along one axis, or over all
-    readings of load cells: nothing is known about its place in another state.
+    readings of load cells, because its distribution in another state is unknown.
 
     Returns
     -------
@@ -93,9 +93,9 @@ def unexplained_sd(inverse: InverseProblem, fit: Fit) -> FloatArray:
 
 
 def _growth(inverse: InverseProblem, fit: Fit, moved: FloatArray) -> float:
-    """Return how much larger a state is than the largest fitted one, at least 1.
+    """Return the size of a state relative to the largest fitted state, at least 1.
 
-    A model that is wrong by a part of the displacement errs by more where there is more of it.
+    The error of a wrong model is assumed to grow in proportion to the displacement.
     """
     place = ~inverse.is_force
     fitted = [
@@ -107,7 +107,7 @@ def _growth(inverse: InverseProblem, fit: Fit, moved: FloatArray) -> float:
 
 
 def posterior_factor(inverse: InverseProblem, fit: Fit) -> FloatArray:
-    """Return L with L L' the covariance of the fitted parameters, shape (p, p)."""
+    """Return L, (p, p), where L L' is the posterior covariance of the fitted parameters."""
     at = fit.linearised(inverse)
     A = at.scaled_nominal
     inner = np.linalg.inv(np.eye(A.shape[1]) + A.T @ A)
@@ -120,10 +120,10 @@ def _view(
     alone = replace(inverse, scans=[scan])
     found = predict_scan(alone, scan, fit.unknowns, z, start)
     if found is None and start is not None:
-        # From a neighbour under its whole load a soft body may overshoot.
+        # Started from a neighbouring solution at full load, a soft body may overshoot.
         found = predict_scan(alone, scan, fit.unknowns, z, None)
     if found is None:
         raise InputError(
-            f"The state {scan.name} was not solved with the fitted constants. Check its loads."
+            f"The state {scan.name} cannot be simulated with the fitted constants. Check its loads."
         )
     return found

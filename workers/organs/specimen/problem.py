@@ -1,4 +1,4 @@
-"""A bench specimen: its materials, loads and holds as a problem for the solver."""
+"""Boundary value problems of a bench specimen, from its materials, loads and holds."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -33,31 +33,31 @@ from palpate.workers.organs.specimen.spec import (
 from palpate.workers.units import KPA, NUMBER
 
 AXES = ("x", "y", "z")
-# A plane takes nodes this near to it.
+# Nodes this close to a plane belong to it.
 NEAR_MM = 1e-3
-# A fit may try any 1 - 2 nu > 0; no material of ours widens when it is pulled.
+# A fit may try any 1 - 2 nu > 0, but auxetic materials are not supported.
 MOST_COMPRESSIBLE = 0.998
 KG_PER_M3 = 1e-12  # in t/mm^3
 T_PER_G = 1e-6
 
 
 def young_name(spec: SpecimenSpec, material: str) -> str:
-    """Return the searched constant of a material: E, with its name where there are several."""
+    """Return the name of Young's modulus of a material: E, or E_name if there are several."""
     return "E" if len(spec.materials) == 1 else f"E_{material}"
 
 
 def compressibility_name(spec: SpecimenSpec, material: str) -> str:
-    """Return the searched constant 1 - 2 nu of a material, with its name as E has it."""
+    """Return the name of the constant 1 - 2 nu of a material; see `young_name`."""
     return "compressibility" if len(spec.materials) == 1 else f"compressibility_{material}"
 
 
 def shape_name(spec: SpecimenSpec, material: str, name: str) -> str:
-    """Return the searched shape constant of a material's law, with its name as E has it."""
+    """Return the name of a shape constant of a material's law; see `young_name`."""
     return name if len(spec.materials) == 1 else f"{name}_{material}"
 
 
 def region_of(region: RegionSpec) -> Box | OutsideCircle:
-    """Return a place on the body as the solver takes it."""
+    """Return a region of the file as a region of the solver."""
     if region.box_mm is not None:
         low, high = region.box_mm.lower, region.box_mm.upper
         return Box(_moved(low, -NEAR_MM), _moved(high, NEAR_MM))
@@ -85,22 +85,22 @@ def problem_of(
     measured: Mapping[str, DisplacementField] = MappingProxyType({}),
     softer: float = 1.0,
 ) -> Problem:
-    """Return what the solver is asked in one state.
+    """Return the boundary value problem of one state.
 
     Parameters
     ----------
     spec : SpecimenSpec
     loads : StateSpec or PredictSpec
     values : mapping of str to float
-        Young's modulus of each material in MPa, see `young_name`; 1 - 2 nu where it is searched,
-        see `compressibility_name`; the searched shape constants of laws, see `shape_name`.
+        Young's modulus of each material in MPa, see `young_name`; 1 - 2 nu if it is fitted,
+        see `compressibility_name`; the fitted shape constants of laws, see `shape_name`.
     wall_mm : float
-        Lowest z of the body. A hold on all of that plane is the wall of the solver, which
-        can be made to yield; other places are held by `Hold`.
+        Lowest z of the body. A hold on that whole plane becomes the wall of the solver, which
+        can be made compliant; other regions become `Hold`.
     measured : mapping of str to DisplacementField
-        Of the regions that move as was measured in this state.
+        Displacements of the regions that move as measured in this state.
     softer : float
-        By which Young's moduli are multiplied.
+        Factor by which Young's moduli are multiplied.
     """
     places = {name: region_of(region) for name, region in spec.regions.items()}
     wall, holds = Wall((False, False, False)), []
@@ -133,14 +133,14 @@ def problem_of(
 
 
 def is_wall(spec: SpecimenSpec, region: str, wall_mm: float) -> bool:
-    """Return whether a region is the whole lowest plane of the body, up to half a voxel."""
+    """Test whether a region is the lowest plane of the body, within half a voxel."""
     plane = spec.regions[region].plane
     near = NEAR_MM + (spec.body.voxel_mm or 0.0) / 2
     return plane is not None and plane.axis == "z" and abs(plane.at_mm - wall_mm) < near
 
 
 def held_axes(axes: tuple[Axis, ...]) -> tuple[bool, bool, bool]:
-    """Return which of x, y and z are named."""
+    """Return axes as flags for x, y and z."""
     return "x" in axes, "y" in axes, "z" in axes
 
 
@@ -173,10 +173,11 @@ def _force_n(force: ForceSpec, down: Triple) -> Triple:
 
 
 def free_constants(spec: SpecimenSpec) -> list[FreeConstant]:
-    """Return the searched constants: E of each material, 1 - 2 nu where nu is an interval, shapes.
+    """Return the fitted constants: E of each material, 1 - 2 nu if nu is an interval, shapes.
 
-    Nu itself has no logarithm with a normal prior: it must stay below a half. Its interval bounds
-    the fit; the interval of E is a prior, which holds it with two in three.
+    The fit uses 1 - 2 nu because nu must stay below 0.5, which a normal prior on its logarithm
+    cannot ensure. The interval of nu bounds the fit; the interval of E is a prior that contains E
+    with a probability of two in three.
     """
     found = [
         FreeConstant(

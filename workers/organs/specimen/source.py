@@ -1,4 +1,4 @@
-"""A bench experiment as something that can be diagnosed."""
+"""A bench experiment as a source of a diagnosis."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -70,12 +70,12 @@ BODY = "body"
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """Differences between model and observation along x, y and z, point after point.
+    """Differences between model and observation along x, y and z, point by point.
 
     Parameters
     ----------
     seen_mm : ndarray, shape (m,)
-        Observed: x, y and z of each point, one after another, and what load cells stand for.
+        Observed displacements: x, y and z of each point in turn, then readings of load cells.
     """
 
     seen_mm: FloatArray
@@ -95,7 +95,7 @@ class SpecimenSource:
     ----------
     spec : SpecimenSpec
     observed : Observed
-        What its recordings show.
+        Points and displacements from its recordings.
     voxels : Volume or None
         The body of its mesh file; None for a block.
     """
@@ -110,7 +110,7 @@ class SpecimenSource:
 
     @classmethod
     def from_content(cls, content: SourceContent) -> "SpecimenSource":
-        """Make it again from what the store holds."""
+        """Restore an experiment from stored content."""
         record, arrays = content.record, content.arrays
         observed = Observed(
             points_mm=arrays["points_mm"],
@@ -130,7 +130,7 @@ class SpecimenSource:
 
     @property
     def content(self) -> SourceContent:
-        """What the file says, what the recordings show, and the body of the mesh file."""
+        """Content of the file, the recordings and the body of the mesh file."""
         observed, voxels = self.observed, self.body.voxels
         record = {
             "spec": self.spec.model_dump(mode="json"),
@@ -152,7 +152,7 @@ class SpecimenSource:
 
     @property
     def name(self) -> str:
-        """Of the experiment."""
+        """Name of the experiment."""
         return self.spec.name
 
     @property
@@ -162,12 +162,12 @@ class SpecimenSource:
 
     @property
     def free(self) -> list[FreeConstant]:
-        """Young's modulus of each material, and how compressible it is where that is searched."""
+        """The fitted constants; see `workers.organs.specimen.problem.free_constants`."""
         return free_constants(self.spec)
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """What the model of this experiment may lack."""
+        """Effects that the model of this experiment may lack."""
         spec = self.spec
         loaded = [f.region for load in (*spec.states, *spec.predict) for f in load.forces]
         return specimen_effects(
@@ -184,25 +184,25 @@ class SpecimenSource:
 
     @cached_property
     def load_cells(self) -> tuple[LoadCell, ...]:
-        """What reads the forces that move regions."""
+        """Load cells of the experiment."""
         return load_cells(self.spec, self.observed.sd_mm)
 
     def findings(self) -> Iterator[Finding]:
-        """Yield the reasons for which the experiment is not diagnosed."""
+        """Yield the reasons why the experiment cannot be diagnosed."""
         yield from findings(self.observed, self.spec, *self.body.box_mm)
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """None: doubts about the data are a part of the summary."""
+        """No caveats: doubts about the data are part of the summary."""
         return ()
 
     def check(self) -> None:
-        """Refuse points that cannot belong to the body.
+        """Refuse an experiment that is not plausible.
 
         Raises
         ------
         InputError
-            With every reason.
+            If there are findings; the message lists all of them.
         """
         found = [finding.text for finding in self.findings()]
         if found:
@@ -211,7 +211,7 @@ class SpecimenSource:
     def inverse_problem(
         self, nodes: int, spacing_mm: float = 0.0, prepared: ReadPrepared | None = None
     ) -> InverseProblem:
-        """See `Source.inverse`; markers are where they are, so no spacing counts."""
+        """See `Source.inverse_problem`; `spacing_mm` has no effect on markers."""
         model, observed = self.body.model(nodes), self.observed
         softer = self.part_of_compliance(nodes)
         cells, states = self.load_cells, self.spec.states
@@ -237,10 +237,10 @@ class SpecimenSource:
         return self._with_boundary_noise(problem)
 
     def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> Model | None:
-        """Return another mesh of the same body, to see what the mesh adds.
+        """Return another mesh of the same body, to estimate the error of the mesh.
 
-        None where the mesh is known to be too stiff and made good for, and of a sheet, whose
-        mesh adds little.
+        None if the excess stiffness of the mesh is corrected, and for a sheet, whose mesh error
+        is small.
         """
         is_known = self._is_made_good_for or self.spec.body.sheet is not None
         return None if is_known else self.body.model(nodes)
@@ -248,13 +248,13 @@ class SpecimenSource:
     def problem(
         self, loads: LoadsSpec, softer: float = 1.0
     ) -> Callable[[Mapping[str, float]], Problem]:
-        """Return the nominal model of one state, from the values of the free constants.
+        """Return a function from the values of the free constants to the problem of one state.
 
         Parameters
         ----------
         loads : StateSpec or PredictSpec
         softer : float
-            By which the stiffness is multiplied; see `part_of_compliance`.
+            Factor by which the stiffness is multiplied; see `part_of_compliance`.
         """
         measured = {}
         if isinstance(loads, StateSpec):
@@ -262,18 +262,18 @@ class SpecimenSource:
         return partial(_problem, self.spec, loads, self.body.wall_mm, measured, softer)
 
     def predictions(self, inverse: InverseProblem, fit: Fit) -> tuple[PredictedState, ...]:
-        """Return what the fit expects of the states under ``predict``.
+        """Return the predictions of a fit for the states under ``predict``.
 
         Parameters
         ----------
         inverse : InverseProblem
-            Of this source, as the fit had it.
+            Inverse problem of this source that was fitted.
         fit : Fit
 
         Raises
         ------
         InputError
-            If such a state cannot be simulated.
+            If a state cannot be simulated.
         """
         softer = self.part_of_compliance(len(inverse.model.finest.nodes))
         still = Components(np.zeros(len(inverse.points)))
@@ -289,11 +289,11 @@ class SpecimenSource:
         prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
-        """Add rows of the markers, of what hides and of states to come; the body in its edges."""
+        """Add markers, confounded effects and predictions to the summary; draw the body's edges."""
         analysis, best = diagnosis.analysis, diagnosis.best
         fit = best.fit if best is not None else analysis.nominal
         model = analysis.inverse.model
-        # Load cells are nodes beyond those of the mesh.
+        # Load cells are extra nodes after those of the mesh.
         own = {
             when: [u[: len(model.finest.nodes)] for u in moved]
             for when, moved in displacements.items()
@@ -311,7 +311,7 @@ class SpecimenSource:
             data_notes=self.observed.notes,
             where=tuple(region_rows(diagnosis)),
             surfaces=COMPONENTS,
-            compared="the points that were measured",
+            compared="the measured points",
             not_simulated=(
                 *NOT_SIMULATED,
                 *(() if self.spec.can_stiffen else (NO_STIFFENING,)),
@@ -323,10 +323,11 @@ class SpecimenSource:
         )
 
     def part_of_compliance(self, nodes: int) -> float:
-        """See `workers.organs.specimen.mesh_error`; 1 where displacements are no compliance.
+        """Return the correction for excess stiffness of the mesh; 1 if it does not apply.
 
-        A body from a file has no lattice, and one whose ends are moved does not move by its
-        stiffness alone.
+        It does not apply to a body from a file, which has no lattice, or to one with moved
+        regions, whose displacements are not inversely proportional to the stiffness. See
+        `workers.organs.specimen.mesh_error`.
         """
         box = self.spec.body.box_mm
         if box is None or not self._is_made_good_for:
@@ -343,14 +344,14 @@ class SpecimenSource:
     def _supported(
         self, inverse: InverseProblem, nominal: Mapping[str, float], moved_mm: Sequence[FloatArray]
     ) -> tuple[str, ...]:
-        """See `workers.organs.specimen.force_balance`; a sheet has no numerical supports."""
+        """Return warnings of `workers.organs.specimen.force_balance`; none for a sheet."""
         if self.spec.body.sheet is not None:
             return ()
         problems = [scan.problem(nominal) for scan in inverse.scans]
         return supported(inverse, problems, self.spec.states, moved_mm)
 
     def _arms(self, model: Any) -> csr_matrix | None:
-        """See `InverseProblem.arms`; None where no markers were observed, or on a sheet."""
+        """Return `InverseProblem.arms`; None without markers, or on a sheet."""
         markers = self.spec.markers
         if markers is None or self.spec.body.sheet is not None:
             return None
@@ -361,7 +362,7 @@ class SpecimenSource:
         return at_points_with_forces(own, len(self.load_cells))
 
     def _heaviest(self) -> Problem:
-        """Return the last state with its weight, of a material in the middle of its interval."""
+        """Return the problem of the last state with self-weight, constants in mid-interval."""
         found = self.problem(self.spec.states[-1])(self._middle)
         return replace(found, gravity_g=self.spec.unit_down)
 
@@ -371,16 +372,16 @@ class SpecimenSource:
         return {free.name: float(np.exp(free.log_mean)) for free in self.free}
 
     def _compared(self, moved_mm: FloatArray, state: StateSpec) -> Components:
-        """Return what a state is compared with: components of points, then load cells."""
+        """Return the observed components of a state: of its points, then of its load cells."""
         seen = moved_mm[self.observed.measured]
         return Components(np.append(seen, readings_mm(state, self.load_cells)))
 
     def _compared_rows(self, at_points: csr_matrix) -> csr_matrix:
-        """Return a row for each component that is compared, from one for each point."""
+        """Return a row for each compared component, from a matrix with a row for each point."""
         return csr_matrix(at_points)[np.nonzero(self.observed.measured)[0]]
 
     def _with_boundary_noise(self, problem: InverseProblem) -> InverseProblem:
-        """Add what measured boundaries do; see `workers.organs.specimen.boundary_noise`."""
+        """Add the noise of measured boundaries; see `workers.organs.specimen.boundary_noise`."""
         if not self.spec.measured_regions:
             return problem
 
@@ -395,7 +396,7 @@ class SpecimenSource:
 
 
 def components(points_mm: FloatArray, measured: BoolArray) -> InterfacePoints:
-    """Return each point once for every component that is compared; each axis is an interface.
+    """Return each point once for every compared component; each axis is an interface.
 
     Parameters
     ----------

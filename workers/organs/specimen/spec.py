@@ -1,7 +1,7 @@
-"""What one file says of a bench experiment; see examples/beam.yaml.
+"""Keys of the file of a bench experiment; see examples/beam.yaml.
 
-Every key carries its unit. Places are in the frame of the body, directions too. A
-block has one corner at the origin and its lowest face in z first.
+Every key includes its unit. Positions and directions are in the frame of the body. A block has
+one corner at the origin and extends along positive x, y and z.
 """
 
 from collections.abc import Iterable, Sequence
@@ -28,15 +28,15 @@ from palpate.workers.spec import Door, Finite, LawName, Positive, validated
 Poisson = Annotated[float, Field(gt=0, lt=0.5)]
 Sizes = tuple[Positive, Positive, Positive]
 Axis = Literal["x", "y", "z"]
-# A body has as many materials as voxels have labels.
+# At most one material for each label of a voxel.
 MATERIALS = tuple(tissue for tissue in Tissue if tissue is not Tissue.AIR)
 
 
 class SheetSpec(Door):
     """A thin sheet such as skin or a membrane, flat at z = 0 and free on both faces.
 
-    It resists stretching and not bending, and does not wrinkle. Its material may follow any law;
-    data tell E times the thickness, so an error of the thickness is one of E.
+    It resists stretching but not bending, and does not wrinkle. Its material may follow any law.
+    The data determine E times the thickness, so an error of the thickness is one of E.
 
     Parameters
     ----------
@@ -64,13 +64,13 @@ class SheetSpec(Door):
 class BodySpec(Door):
     """A block, a mesh file or a sheet.
 
-    A mesh file holds the surface (.stl) or the volume (.vtk, .msh, .inp) of a body.
+    A mesh file contains the surface (.stl) or the volume (.vtk, .msh, .inp) of a body.
 
-    Volume cells are tetrahedra, hexahedra, wedges or pyramids, of which the corners count; a
-    surface is closed, and there are no volume cells in its file. A body from a file is filled
+    Volume cells are tetrahedra, hexahedra, wedges or pyramids, of which only the corners are
+    used; a surface must be closed, in a file without volume cells. A body from a file is filled
     with voxels of ``voxel_mm`` and meshed like a scan. ``mm_per_unit`` is 1000 for metres.
-    ``labels`` says which material the cells of a volume carry; ``label_array`` names the
-    data that hold them.
+    ``labels`` assigns a material to each cell label of a volume; ``label_array`` is the name of
+    the cell data with the labels.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class BodySpec(Door):
     labels
         The material of each cell label of a volume.
     label_array
-        Name of the cell data that hold the labels.
+        Name of the cell data with the labels.
     sheet
         A thin sheet with its thickness.
     """
@@ -98,7 +98,7 @@ class BodySpec(Door):
 
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what older experiments do not have, or their digests would change."""
+        """Omit an empty key that older experiments lack, to preserve their digests."""
         return _without(handler(self), "sheet")
 
     @model_validator(mode="after")
@@ -132,14 +132,14 @@ class PlaneSpec(Door):
 
 
 class CircleSpec(Door):
-    """All points at least so far from an axis along z, such as the clamped rim of a round sheet."""
+    """All points at least a radius from an axis along z, such as the clamped rim of a sheet."""
 
     centre: tuple[Finite, Finite] = Field(description="[x, y] of the axis in mm")
-    radius: Positive = Field(description="in mm; a little less than that of the body")
+    radius: Positive = Field(description="radius in mm, a little less than the radius of the body")
 
 
 class RegionSpec(Door):
-    """A place on the body: a box, a plane or all that is outside of a circle.
+    """A region of the body: a box, a plane or everything outside of a circle.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ class RegionSpec(Door):
     plane
         All points of a plane normal to an axis.
     outside_circle_mm
-        All points at least so far from an axis along z.
+        All points at least a radius from an axis along z.
     """
 
     exactly_one: ClassVar[Pairs] = (("box_mm", "plane", "outside_circle_mm"),)
@@ -159,7 +159,7 @@ class RegionSpec(Door):
 
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what older experiments do not have, or their digests would change."""
+        """Omit an empty key that older experiments lack, to preserve their digests."""
         return _without(handler(self), "outside_circle_mm")
 
 
@@ -167,18 +167,18 @@ class MaterialSpec(Door):
     """A material: its law, stiffness, Poisson's ratio and density.
 
     ``E_kpa`` is the interval in which Young's modulus is expected: a prior, which data may
-    overrule; a fit outside of it is reported as such. ``nu`` is a number, or an interval that the
-    fit does not leave. ``constants`` are shape constants of the law, such as ``yeoh_c2: 0.5`` or
-    ``yeoh_c2: [0.1, 2]``, an interval in which it is expected; one that is not named is 0, or what
-    makes the law neo-Hookean.
+    overrule; a fit outside of it is reported. ``nu`` is a number, or an interval that bounds the
+    fit. ``constants`` are shape constants of the law: fixed, such as ``yeoh_c2: 0.5``, or fitted
+    with an expected interval, such as ``yeoh_c2: [0.1, 2]``. A constant that is not listed has its
+    neo-Hookean value, mostly 0.
 
     Parameters
     ----------
     law
         The material law; `palpate parameters --law NAME` lists its constants.
     constants
-        Shape constants of the law, held (``yeoh_c2: 0.5``) or with an interval in which each is
-        expected (``yeoh_c2: [0.1, 2]``).
+        Shape constants of the law, fixed (``yeoh_c2: 0.5``) or fitted with an expected interval
+        (``yeoh_c2: [0.1, 2]``).
     """
 
     law: LawName = DEFAULT_LAW
@@ -193,7 +193,7 @@ class MaterialSpec(Door):
 
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what older experiments do not have, or their digests would change."""
+        """Omit an empty key that older experiments lack, to preserve their digests."""
         return _without(handler(self), "constants")
 
     @property
@@ -203,13 +203,13 @@ class MaterialSpec(Door):
 
     @property
     def shape_held(self) -> dict[str, float]:
-        """The shape constants that are held, by names inside and in units inside."""
+        """The fixed shape constants, by internal names and in internal units."""
         given = self.constants.items()
         return self.shape.from_door({n: v for n, v in given if isinstance(v, float)})
 
     @property
     def shape_free(self) -> dict[str, Bounds]:
-        """The intervals of the shape constants to be found, by names inside, units inside."""
+        """Intervals of the fitted shape constants, by internal names and in internal units."""
         given = self.constants.items()
         return self.shape.bounds_from_door({n: v for n, v in given if isinstance(v, tuple)})
 
@@ -239,41 +239,41 @@ class MaterialSpec(Door):
 
 
 class HoldSpec(Door):
-    """Where the body is held, and along which axes.
+    """A hold: a region and the axes along which it is fixed.
 
     Parameters
     ----------
     axes
-        Axes along which the region is held.
+        Axes along which the region is fixed.
     """
 
-    region: str = Field(description="the name of a region that is held")
+    region: str = Field(description="name of the held region")
     axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ("x", "y", "z")
 
 
 class ForceSpec(Door):
-    """A force or a hung mass on a region; it keeps its direction."""
+    """A force or a hanging mass on a region, with a constant direction."""
 
     exactly_one: ClassVar[Pairs] = (("force_n", "mass_g"),)
 
-    region: str = Field(description="the name of the region that is loaded")
+    region: str = Field(description="name of the loaded region")
     force_n: FinitePoint | None = Field(default=None, description="[x, y, z] in N")
-    mass_g: Positive | None = Field(default=None, description="a hung mass in g")
+    mass_g: Positive | None = Field(default=None, description="a hanging mass in g")
 
 
 class MoveSpec(Door):
-    """A displacement prescribed on a region: one for all of it, or what the field shows there.
+    """A displacement prescribed on a region: uniform, or as measured by the field.
 
     Parameters
     ----------
     region
-        The name of the region that is moved.
+        Name of the moved region.
     displacement_mm
         Displacement along x, y and z, in mm.
     measured
-        Whether the displacement is what `field` shows there.
+        Whether the region moves as measured by `field`.
     axes
-        Axes along which it is prescribed.
+        Axes along which the displacement is prescribed.
     """
 
     region: str
@@ -289,16 +289,16 @@ class MoveSpec(Door):
 
 
 class ReactionSpec(Door):
-    """The force that moves a region along an axis, as a load cell reads it: that on the body.
+    """The force on the body by which a region is moved along an axis, read by a load cell.
 
     Parameters
     ----------
     region
-        The name of the region that is moved.
+        Name of the moved region.
     axis
         Axis of the load cell.
     force_n
-        Its reading, in N: the force on the body.
+        Reading of the load cell in N: the force on the body.
     sd_n
         Standard deviation of the reading, in N.
     """
@@ -310,12 +310,12 @@ class ReactionSpec(Door):
 
 
 class LoadsSpec(Door):
-    """What acts in one state; gravity is said once for all of them.
+    """Loads of one state; gravity is the same in all states.
 
     Parameters
     ----------
     forces
-        Forces and hung masses.
+        Forces and hanging masses.
     moves
         Prescribed displacements.
     pressure_kpa
@@ -328,17 +328,17 @@ class LoadsSpec(Door):
 
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what older experiments do not have, or their digests would change."""
+        """Omit an empty key that older experiments lack, to preserve their digests."""
         return _without(handler(self), "pressure_kpa")
 
     @property
     def regions(self) -> list[str]:
-        """Names of the regions that it needs."""
+        """Names of the loaded and moved regions."""
         return [one.region for one in self.forces] + [one.region for one in self.moves]
 
 
 class StateSpec(LoadsSpec):
-    """One loaded state: what acts, and the files that say what was seen, one a repeat.
+    """A loaded state: its loads and recordings, one file for each repeat.
 
     Parameters
     ----------
@@ -367,7 +367,7 @@ class StateSpec(LoadsSpec):
 
 
 class PredictSpec(LoadsSpec):
-    """A state that was not measured, or is kept aside.
+    """A state to predict, not measured or held out.
 
     Parameters
     ----------
@@ -386,7 +386,7 @@ class SpecimenSpec(Door):
     organ
         Kind of the experiment.
     gravity
-        Whether the weight of the body acts.
+        Whether the model includes the weight of the body.
     holds
         Regions that are held.
     markers
@@ -394,7 +394,7 @@ class SpecimenSpec(Door):
     field
         Recordings of displacement fields.
     predict
-        States to predict, not measured or kept aside.
+        States to predict, not measured or held out.
     """
 
     exactly_one: ClassVar[Pairs] = (("markers", "field"),)
@@ -403,7 +403,7 @@ class SpecimenSpec(Door):
     name: Annotated[str, Field(min_length=1)] = Field(description="a name for the report")
     body: BodySpec = Field(description="the specimen: a block, a mesh file or a sheet")
     regions: dict[str, RegionSpec] = Field(
-        description="places that are held, loaded or moved: a plane or a box"
+        description="regions that are held, loaded or moved: a plane or a box"
     )
     materials: Annotated[
         dict[str, MaterialSpec], Field(min_length=1, max_length=len(MATERIALS))
@@ -428,7 +428,7 @@ class SpecimenSpec(Door):
         _all_known("region", wanted, self.regions)
         _all_known("material", (self.body.labels or {}).values(), self.materials)
         if self.body.labels is None and len(self.materials) > 1:
-            raise ValueError("several materials need body.labels, which label carries which")
+            raise ValueError("several materials need body.labels, with a material for each label")
         read = [[(one.region, one.axis) for one in state.reactions] for state in self.states]
         if any(one != read[0] for one in read):
             raise ValueError("reactions must be the same in all states, in the same order")
@@ -438,23 +438,23 @@ class SpecimenSpec(Door):
     def _check_boundary(self) -> None:
         loads = (*self.states, *self.predict)
         if not self.holds and not all(any(len(m.axes) == 3 for m in x.moves) for x in loads):
-            raise ValueError("holds is missing: nothing holds the body; or move a region in all")
+            raise ValueError("nothing holds the body: give holds, or move a region in each state")
         if self.field is None and any(m.measured for x in loads for m in x.moves):
-            raise ValueError("measured: true needs a field; markers show no boundary")
+            raise ValueError("measured: true needs a field; markers do not measure a boundary")
         if any(m.measured for one in self.predict for m in one.moves):
             raise ValueError("a state under predict was not measured: give displacement_mm")
         if self.body.sheet is None and any(x.pressure_kpa is not None for x in loads):
-            raise ValueError("pressure_kpa inflates a sheet: the body is none, so leave it out")
+            raise ValueError("pressure_kpa inflates a sheet, but the body is not one: leave it out")
 
     @property
     def measured_regions(self) -> tuple[str, ...]:
-        """Names of the regions that move as the field shows in some state, each once."""
+        """Names of the regions that move as measured by the field in any state, each once."""
         moves = (move for state in self.states for move in state.moves)
         return tuple(dict.fromkeys(move.region for move in moves if move.measured))
 
     @property
     def moved_regions(self) -> tuple[str, ...]:
-        """Names of the regions that some measured state moves, each once."""
+        """Names of the regions that move in any measured state, each once."""
         moves = (move for state in self.states for move in state.moves)
         return tuple(
             dict.fromkeys(m.region for m in moves if m.measured or any(m.displacement_mm or ()))
@@ -462,42 +462,42 @@ class SpecimenSpec(Door):
 
     @property
     def unit_down(self) -> Triple:
-        """Direction of gravity, of length 1."""
+        """Unit vector of gravity."""
         x, y, z = np.asarray(self.down) / np.linalg.norm(self.down)
         return float(x), float(y), float(z)
 
     @property
     def can_stiffen(self) -> bool:
-        """Whether the effect of strain stiffening acts on a material: on a neo-Hookean one."""
+        """Whether the effect of strain stiffening applies: to neo-Hookean materials only."""
         return any(material.law == DEFAULT_LAW for material in self.materials.values())
 
     def tissue_of(self, material: str) -> Tissue:
-        """Return the label under which a material is meshed."""
+        """Return the label of a material in voxels and meshes."""
         return MATERIALS[list(self.materials).index(material)]
 
 
 def read_spec(path: Path) -> SpecimenSpec:
-    """Return the experiment that a file describes.
+    """Read and validate the file of an experiment.
 
     Raises
     ------
     InputError
-        If the file cannot be read or does not make sense.
+        If the file cannot be read or is invalid.
     """
     try:
         text = read_text(path)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is no text in UTF-8: {error}. Save it as UTF-8.") from error
+        raise InputError(f"{path} is not UTF-8 text: {error}. Save it as UTF-8.") from error
     data = parse_yaml(text, str(path))
     if not isinstance(data, dict):
-        raise InputError(f"{path} is no experiment: expected keys such as organ: specimen.")
+        raise InputError(f"{path} is not an experiment: expected keys such as organ: specimen.")
     return validated(SpecimenSpec, data, str(path))
 
 
 def _without(values: dict[str, Any], key: str) -> dict[str, Any]:
-    """Return values without a key that is empty."""
+    """Remove a key if its value is empty."""
     return {k: v for k, v in values.items() if k != key or v}
 
 

@@ -1,4 +1,4 @@
-"""What was observed and what is expected of each point of a specimen, as rows of a summary."""
+"""Rows of a summary: observed and predicted displacements of each point of a specimen."""
 
 from collections.abc import Iterator, Sequence
 
@@ -27,9 +27,9 @@ COMPONENTS = ("displacement along x", "displacement along y", "displacement alon
 
 
 def region_rows(diagnosis: Diagnosis) -> Iterator[RegionGap]:
-    """Yield the gap of the nominal model along each axis: of all points, and in thirds of them.
+    """Yield the gap of the nominal model along each axis, for all points and by thirds.
 
-    The thirds are cut along the axis in which the points reach farthest.
+    The thirds divide the points along the axis of their largest extent.
     """
     inverse, fit = diagnosis.analysis.inverse, LinearFit(diagnosis.analysis.linear)
     points, component = inverse.points.points, inverse.points.interface
@@ -56,7 +56,7 @@ def region_rows(diagnosis: Diagnosis) -> Iterator[RegionGap]:
 def marker_states(
     observed: Observed, spec: SpecimenSpec, cells: Sequence[LoadCell], diagnosis: Diagnosis
 ) -> tuple[MarkerState, ...]:
-    """Return what the points of each state have done, and what the models leave of it.
+    """Return the observed displacements of each state and the residuals of the models.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _at_points(observed: Observed, compared: FloatArray) -> FloatArray:
 
 
 def _spread(observed: Observed, compared: FloatArray) -> FloatArray:
-    """Return the compared components of one state with nan at all others, shape (k, 3)."""
+    """Return the compared components of one state, nan elsewhere, shape (k, 3)."""
     found = np.full(observed.measured.shape, np.nan)
     found[observed.measured] = compared
     return found
@@ -111,7 +111,7 @@ def predicted_states(
     cells: Sequence[LoadCell],
     predictions: Sequence[Prediction],
 ) -> tuple[PredictedState, ...]:
-    """Return where the points of each state that was not measured are expected, and its forces."""
+    """Return the predicted displacements and forces of each state that was not measured."""
     return tuple(
         PredictedState(
             one.name,
@@ -136,7 +136,7 @@ def _reactions(
     before_mm: FloatArray,
     after_mm: FloatArray | None,
 ) -> list[tuple[ReactionResidual, ...]]:
-    """Return those of each state; residuals of all cells and states stand for forces, in mm."""
+    """Return the readings and residuals of each state, from residuals in mm of all states."""
     shape = len(spec.states), len(cells)
     before = before_mm.reshape(shape)
     after = None if after_mm is None else after_mm.reshape(shape)
@@ -159,7 +159,7 @@ def _reactions(
 def _predicted_reactions(
     spec: SpecimenSpec, state: PredictSpec, cells: Sequence[LoadCell], predicted: Prediction
 ) -> Iterator[Reaction]:
-    """Yield the forces of the regions that move in a state to come."""
+    """Yield the predicted forces on the regions that move in a state."""
     moved = {(move.region, axis) for move in state.moves for axis in move.axes}
     read = zip(
         spec.states[0].reactions, cells, predicted.force_mm, predicted.force_sd_mm, strict=True

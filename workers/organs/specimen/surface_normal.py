@@ -1,4 +1,4 @@
-"""Which way is out of a body at a point of its surface."""
+"""Outward normals at points of a surface."""
 
 from collections.abc import Sequence
 
@@ -8,9 +8,9 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.organs.specimen.readings.spec import FinitePoint
 
-# Faces as near as the nearest one, up to this part of an element, count as touching.
+# Faces as close as the nearest one, within this fraction of an element, touch the point.
 TOUCH = 1e-3
-# And say different things if their normals are further apart than 25 degrees.
+# Normals more than 25 degrees from their mean are ambiguous.
 ALIKE = 0.9
 
 
@@ -27,17 +27,17 @@ def outward_normals(
     ----------
     nodes : ndarray, shape (n, 3)
     triangles : ndarray of int, shape (m, 3)
-        Outward oriented.
+        Corners of the triangles, oriented outwards.
     points : ndarray, shape (k, 3)
     stated : sequence
-        A direction for each point; None to ask the surface.
+        A direction for each point; None for the normal of the surface.
     names : sequence of str
-        Of the points, for the message.
+        Names of the points, for the message.
 
     Raises
     ------
     InputError
-        If a point lies on an edge, where the surface has no normal, and none is stated.
+        If a point on an edge, where the surface has no normal, has no stated direction.
     """
     corners = nodes[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -55,15 +55,15 @@ def outward_normals(
         mean = mean / max(float(np.linalg.norm(mean)), 1e-300)
         if (there @ mean).min() < ALIKE:
             raise InputError(
-                f"The marker {name} lies on an edge of the body, where nothing says which way is "
-                "out. Give its direction: outward: [x, y, z]."
+                f"The marker {name} is on an edge of the body, where the outward direction is "
+                "ambiguous. Give its direction: outward: [x, y, z]."
             )
         found.append(mean)
     return np.array(found)
 
 
 def distances_to_triangles(point: FloatArray, corners: FloatArray) -> FloatArray:
-    """Return distance of a point from each triangle, corners of shape (m, 3, 3), in mm."""
+    """Return the distances in mm of a point from triangles, corners of shape (m, 3, 3)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     to_plane = _to_inside(point, a, b, c)
     to_edges = [_to_segment(point, *ends) for ends in ((a, b), (b, c), (c, a))]
@@ -71,7 +71,7 @@ def distances_to_triangles(point: FloatArray, corners: FloatArray) -> FloatArray
 
 
 def _to_inside(point: FloatArray, a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
-    """Return distance from the plane where the foot lies inside the triangle, else infinite."""
+    """Return the distance from the plane if the foot is inside the triangle, else infinity."""
     n = np.cross(b - a, c - a)
     square = np.maximum((n**2).sum(axis=1), 1e-300)
     u = (np.cross(point - a, c - a) * n).sum(axis=1) / square

@@ -1,4 +1,4 @@
-"""The body of a mesh file as labelled voxels, to be meshed like a scan."""
+"""Bodies of mesh files as labelled voxels, meshed like a scan."""
 
 from pathlib import Path
 
@@ -13,39 +13,39 @@ from palpate.workers.compile_flags import CONTRACTED
 from palpate.workers.organs.specimen.readings.mesh_file import MeshFile, read_mesh_file
 from palpate.workers.organs.specimen.spec import BodySpec, SpecimenSpec
 
-# Where the groups of Gmsh are, unless another array is named.
+# Cell data with the groups of Gmsh, the default of label_array.
 PHYSICAL = "gmsh:physical"
 LEAST_VOXELS, MOST_VOXELS = 8, 2e8
-# Volumes of cells and of their voxels differ by no more than this part.
+# Largest relative difference between the volumes of cells and voxels.
 MOST_OFF = 0.15
-# Pieces and cavities below this part of the body come from rounding.
+# Pieces and cavities below this fraction of the body are due to rounding.
 SPECK = 1e-3
 WHOLE = 1e-3  # distance of a label from a whole number
-# Rays run a little beside the centres of voxels, in parts of one: never along an edge.
+# Offset of rays from the centres of voxels, in voxels, so that none runs along an edge.
 BESIDE = np.array([1.3e-4, 0.7e-4])
 ON_A_FACE = 1e-9  # barycentric weight that still counts as inside
 
 
 def filled(spec: SpecimenSpec, path: Path) -> Volume:
-    """Return voxels of the body in the file that `spec` names; see `body_of_file`."""
+    """Return the voxels of a body; see `body_of_file`."""
     return body_of_file(spec, path)[0]
 
 
 def body_of_file(spec: SpecimenSpec, path: Path) -> tuple[Volume, tuple[str, ...]]:
-    """Return voxels of a body, and sentences about what of its file is not in them.
+    """Return the voxels of a body, and notes on parts of the file that were left out.
 
     Parameters
     ----------
     spec : SpecimenSpec
-        Whose body is a mesh.
+        Experiment whose body is a mesh.
     path : Path
         The mesh file.
 
     Raises
     ------
     InputError
-        If the file cannot be read, holds neither volume cells nor a closed surface, or its
-        body falls into pieces or encloses a cavity.
+        If the file cannot be read or contains neither volume cells nor a closed surface, or its
+        body has loose pieces or encloses a cavity.
     """
     body = spec.body
     mesh, voxel = read_mesh_file(path, body.mm_per_unit), body.voxel_mm
@@ -59,7 +59,7 @@ def body_of_file(spec: SpecimenSpec, path: Path) -> tuple[Volume, tuple[str, ...
         _check_volume(path, mesh.corners, int((values > 0).sum()) * voxel**3)
     else:
         if body.labels is not None:
-            raise InputError(f"{path} is a surface: its inside has no labels. Leave them out.")
+            raise InputError(f"{path} is a surface and has no cells to label. Remove body.labels.")
         crossings = np.zeros(values.shape[1:], np.int64)
         beside = origin - np.append(BESIDE, 0.0) * voxel
         _cross(mesh.corners, beside, voxel, values, crossings)
@@ -71,7 +71,7 @@ def body_of_file(spec: SpecimenSpec, path: Path) -> tuple[Volume, tuple[str, ...
 
 
 def _grid(path: Path, points: FloatArray, voxel: float) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Return the lowest corner and whole numbers of voxels, as near to the box as can be."""
+    """Return the lowest corner and the whole numbers of voxels that fit the box best."""
     low, high = points.min(axis=0), points.max(axis=0)
     size = np.array2string(high - low, precision=4, separator=", ")
     units = "Check body.mm_per_unit: 1000 for a file in metres, 0.001 for one in micrometres."
@@ -91,46 +91,46 @@ def _grid(path: Path, points: FloatArray, voxel: float) -> tuple[FloatArray, NDA
 
 
 def _check_volume(path: Path, corners: FloatArray, filled_mm3: float) -> None:
-    """Refuse cells that overlap, or that voxels do not show."""
+    """Refuse cells that overlap or that voxels do not resolve."""
     stated = float(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum()) / 6
     if abs(filled_mm3 / stated - 1) > MOST_OFF:
         raise InputError(
-            f"The cells of {path} sum up to {stated / 1000:.4g} ml, but fill "
+            f"The cells of {path} add up to {stated / 1000:.4g} ml, but fill "
             f"{filled_mm3 / 1000:.4g} ml: they overlap, or are thinner than the voxels. "
             "Repair the mesh, or set a smaller body.voxel_mm."
         )
 
 
 def _check_whole(path: Path, inside: BoolArray, voxel: float) -> None:
-    """Refuse a body of several pieces, or with a cavity, which the mesher would drop or fill."""
+    """Refuse loose pieces, which the mesher would drop, and cavities, which it would fill."""
     total = int(inside.sum())
     for what, empty, wish in (
-        ("falls into pieces", False, "Join them, or export one body a file."),
-        ("encloses a cavity", True, "Bodies with closed cavities are not meshed: open or fill it."),
+        ("has loose pieces", False, "Join them, or export one body per file."),
+        ("encloses a cavity", True, "Closed cavities are not supported: open or fill it."),
     ):
         regions, count = ndimage.label(
             np.pad(~inside, 1, constant_values=True) if empty else inside
         )
         sizes = np.bincount(regions.ravel())[1:] if count else np.zeros(0, np.int64)
-        # The largest piece is the body; the piece of air at the corner is outdoors.
+        # The largest piece is the body; the piece of air at the corner is outside.
         main = int(regions[0, 0, 0]) - 1 if empty else int(sizes.argmax())
         rest = int(np.delete(sizes, main).sum())
         if rest > SPECK * total:
             raise InputError(
-                f"The body of {path} {what}: {rest * voxel**3 / 1000:.4g} ml beside "
-                f"{total * voxel**3 / 1000:.4g} ml in all. {wish}"
+                f"The body of {path} {what} of {rest * voxel**3 / 1000:.4g} ml; its total volume "
+                f"is {total * voxel**3 / 1000:.4g} ml. {wish}"
             )
 
 
 def _tissues(spec: SpecimenSpec, mesh: MeshFile, path: Path) -> NDArray[np.uint8]:
-    """Return the label of a voxel in each tetrahedron."""
+    """Return the label that voxels take in each tetrahedron."""
     body = spec.body
     if body.labels is None:
         return np.full(len(mesh.cell), int(spec.tissue_of(next(iter(spec.materials)))), np.uint8)
     own = _labels(mesh, body, path)[mesh.cell]
     unknown = sorted(set(own.tolist()) - set(body.labels))
     if unknown:
-        raise InputError(f"{path} has the labels {unknown}, which body.labels does not name.")
+        raise InputError(f"{path} has the labels {unknown}, which are missing in body.labels.")
     found = np.zeros(len(own), np.uint8)
     for label, material in body.labels.items():
         found[own == label] = int(spec.tissue_of(material))
@@ -143,21 +143,21 @@ def _labels(mesh: MeshFile, body: BodySpec, path: Path) -> IntArray:
     name = body.label_array or (PHYSICAL if PHYSICAL in known else only)
     if name not in known:
         raise InputError(
-            f"{path}: body.label_array must name one of the cells' data, found "
-            f"{body.label_array!r}; there are {', '.join(known) or 'none'}."
+            f"{path}: body.label_array must name one of the cell data arrays, found "
+            f"{body.label_array!r}; the file has {', '.join(known) or 'none'}."
         )
     values = np.asarray(known[name], np.float64)
     whole = np.rint(values)
     if not np.isfinite(values).all() or np.abs(values - whole).max() > WHOLE:
-        raise InputError(f"{path}: the cell data {name} are no labels: not all are whole numbers.")
+        raise InputError(f"{path}: the cell data {name} are not labels: not all are integers.")
     return whole.astype(np.int32)
 
 
 def _closed(crossings: NDArray[np.int64], path: Path) -> None:
-    """Refuse a surface that some ray does not leave as often as it enters."""
+    """Refuse a surface that some ray enters without leaving."""
     if not crossings.any() or (crossings % 2).any():
         raise InputError(
-            f"{path} is no closed surface: {int((crossings % 2).sum())} of "
+            f"{path} is not a closed surface: {int((crossings % 2).sum())} of "
             f"{int((crossings > 0).sum())} rays through it end inside. Close its holes."
         )
 
@@ -170,7 +170,7 @@ def _fill(
     voxel: float,
     values: NDArray[np.uint8],
 ) -> None:
-    """Give voxels whose centre lies in a tetrahedron its tissue."""
+    """Assign the tissue of each tetrahedron to the voxels whose centres are inside."""
     nz, ny, nx = values.shape
     for m in range(len(corners)):
         base = corners[m, 0]
@@ -202,7 +202,7 @@ def _cross(
     values: NDArray[np.uint8],
     crossings: NDArray[np.int64],
 ) -> None:
-    """Turn voxels above each crossing of a ray along z inside out, and count crossings."""
+    """Toggle the voxels above each crossing of a ray along z, and count crossings."""
     nz, ny, nx = values.shape
     for t in range(len(triangles)):
         a, b, c = triangles[t]

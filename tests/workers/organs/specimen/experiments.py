@@ -1,4 +1,4 @@
-"""Small experiments on disk, with what a body of known stiffness would show."""
+"""Small experiments on disk, with recordings of a body of known stiffness."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ LOADS_N = {"bare": 0.0, "loaded": 0.03}
 
 
 def described(**changes):
-    """What the file says, as plain data."""
+    """Return the content of the file as plain data."""
     data = {
         "organ": "specimen",
         "name": "beam",
@@ -55,14 +55,14 @@ def described(**changes):
 
 
 def write(folder: Path, data) -> Path:
-    """The file of an experiment."""
+    """Write the file of an experiment."""
     path = folder / "experiment.yaml"
     path.write_text(yaml.safe_dump(data, sort_keys=False))
     return path
 
 
 def record(path: Path, moved, turn, rng=None, sd=0.0):
-    """A recording of markers that go from rest to `moved`, (k, 3), seen through `turn`."""
+    """Write a recording of markers displaced by `moved`, (k, 3), in cameras rotated by `turn`."""
     rest = {name: np.array(at) for name, (at, _) in MARKERS.items()}
     rest |= {name: np.array(at, float) for name, at in BASE.items()}
     shifts = dict(zip(MARKERS, moved, strict=True))

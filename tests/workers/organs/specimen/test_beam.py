@@ -1,7 +1,7 @@
-"""A beam of silicone that was measured: weight and stalks of the markers are found.
+"""A measured silicone beam: the diagnosis finds self-weight and marker stand-off.
 
 Recordings of M. Dubied et al., IEEE Robot. Autom. Lett. (2022). Their own stiffness,
-fitted to another load, is 264 kPa; the markers stood 6 mm off the surface.
+fitted to another load, is 264 kPa; the markers were 6 mm off the surface.
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the recordings are n
 
 
 def source_of(folder, states=("0 g", "52 g")):
-    """The example, with the recordings where they are."""
+    """Read the example with the paths of its recordings."""
     data = yaml.safe_load((ROOT / "examples" / "beam.yaml").read_text())
     data["states"] = [s for s in data["states"] if s["name"] in states]
     for state in data["states"]:
@@ -32,12 +32,12 @@ def source_of(folder, states=("0 g", "52 g")):
 
 
 def diagnosed(source, folder):
-    """The diagnosis, and its summary."""
+    """Return the diagnosis and its summary."""
     store = diagnosed_store(source, folder / "store", NODES, 0.0)
     return diagnosis_in(store), store.outcome.record(Outcome).summary
 
 
-def test_the_recordings_say_what_their_authors_say(tmp_path):
+def test_recordings_match_published_displacements(tmp_path):
     source = source_of(tmp_path)
     source.check()
     drops = -source.observed.moved_mm[:, :, 1].mean(axis=1)
@@ -46,7 +46,7 @@ def test_the_recordings_say_what_their_authors_say(tmp_path):
 
 
 @pytest.mark.slow
-def test_weight_first_and_then_the_stalks(tmp_path):
+def test_finds_self_weight_then_marker_standoff(tmp_path):
     source = source_of(tmp_path)
     found, summary = diagnosed(source, tmp_path)
     assert found.verdict.kind == "effect"
@@ -56,7 +56,7 @@ def test_weight_first_and_then_the_stalks(tmp_path):
     assert values["marker_standoff"] == pytest.approx(6, abs=2.5)
     left = np.array([np.abs(v.residual).mean() for v in found.best.fit.predictions])
     assert (left < np.array(source.observed.repeats_mm) + 0.02).all()
-    # Without its weight the beam would be taken for much softer.
+    # Without self-weight the fitted beam is much softer.
     assert found.analysis.nominal.values()["E"] < 0.2
     (heavier,) = summary.predictions
     drops = -np.array([p.displacement_mm[1] for p in heavier.points])
@@ -64,8 +64,8 @@ def test_weight_first_and_then_the_stalks(tmp_path):
 
 
 @pytest.mark.slow
-def test_one_load_cannot_tell_weight_from_stiffness(tmp_path):
-    """It says so, and what the stiffness would be with the weight, in place of a wrong number."""
+def test_one_load_leaves_weight_confounded_with_stiffness(tmp_path):
+    """Weight is listed as confounded, with the stiffness with and without it."""
     source = source_of(tmp_path, ["52 g"])
     found, summary = diagnosed(source, tmp_path)
     assert "self_weight" in found.verdict.hidden

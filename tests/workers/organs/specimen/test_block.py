@@ -1,4 +1,4 @@
-"""Lattices of a block: exact volume and surface, nested meshes, and how they bend."""
+"""Lattices of a block: exact volume and surface, nested meshes and bending."""
 
 from itertools import pairwise
 
@@ -21,7 +21,7 @@ SIZE = (20.0, 16.0, 50.0)
 
 
 @pytest.mark.parametrize("cells", [(1, 1, 1), (2, 3, 4), (5, 4, 7)])
-def test_fills_the_block_and_no_more(cells):
+def test_lattice_has_volume_and_area_of_the_block(cells):
     mesh = lattice(SIZE, cells)
     corners = mesh.nodes[mesh.tets]
     volumes = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6
@@ -33,7 +33,7 @@ def test_fills_the_block_and_no_more(cells):
     assert area == pytest.approx(2 * (x * y + y * z + z * x), rel=1e-12)
 
 
-def test_coarse_values_reach_the_finest_mesh():
+def test_prolongation_is_exact_for_linear_fields():
     levels = block(SIZE, 3000, Tissue.MUSCLE).levels
     assert len(levels) >= 2
     for coarse, fine in pairwise(levels):
@@ -44,17 +44,17 @@ def test_coarse_values_reach_the_finest_mesh():
 
 
 @pytest.mark.parametrize("nodes", [1000, 5000, 20000])
-def test_meets_the_number_of_nodes(nodes):
+def test_mesh_has_the_requested_number_of_nodes(nodes):
     assert len(lattice(SIZE, cells_of(SIZE, nodes)).nodes) == pytest.approx(nodes, rel=0.2)
 
 
-def test_refuses_a_mesh_that_cannot_bend():
+def test_rejects_too_few_nodes_for_bending():
     with pytest.raises(InputError, match="shortest side needs 4 elements"):
         block((30.0, 30.0, 100.0), 100)
 
 
-def test_plate_of_four_cells_is_not_factored_as_a_whole():
-    """Its long sides are halved alone, and the solution is that of one lattice."""
+def test_plate_of_four_cells_has_a_coarser_level():
+    """Only its long sides are halved, and the energy is as expected."""
     size = (40.0, 40.0, 10.0)
     hierarchy = block(size, 2300)
     counts = [len(level.mesh.nodes) for level in hierarchy.levels]
@@ -70,17 +70,17 @@ def test_plate_of_four_cells_is_not_factored_as_a_whole():
     outcome = solve(prepare(hierarchy), stretched).outcome
     assert outcome.converged
     assert max(outcome.cg_iterations[1:]) < 40
-    # Far from its ends it narrows as a bar does; E A eps^2 L / 2 is a lower estimate.
+    # Far from its ends it narrows like a bar; E A eps^2 L / 2 is a lower bound.
     assert 0.1 * 400 * 0.05**2 * 40 / 2 < outcome.energy_mj < 2 * 0.1 * 400 * 0.05**2 * 40 / 2
 
 
-def test_thin_block_is_told_apart_from_a_sheet():
+def test_suggests_a_sheet_for_a_thin_block():
     with pytest.raises(InputError, match=r"sheet: \{size_mm: \[100, 80\], thickness_mm: 0.5\}"):
         block((100.0, 80.0, 0.5), 20000)
 
 
 # A beam of Euler, Bernoulli and Timoshenko: w = F L^3 / 3 E I + F L / (5/6) G A. With
-# nu = 0 the clamp does not hinder the contraction of the section, and the theory holds.
+# nu = 0 the clamp does not restrict contraction of the section, and the theory holds.
 LENGTH, HEIGHT, YOUNG, FORCE = 80.0, 16.0, 0.25, 1e-4
 TIP = np.array([[HEIGHT / 2, HEIGHT / 2, LENGTH]])
 
@@ -96,7 +96,7 @@ def cantilever():
     )
 
 
-def test_a_beam_bends_as_theory_says_once_the_mesh_is_made_good_for():
+def test_corrected_deflection_matches_beam_theory():
     inertia, area = HEIGHT**4 / 12, HEIGHT**2
     expected = FORCE * LENGTH**3 / (3 * YOUNG * inertia) + FORCE * LENGTH / (
         5 / 6 * YOUNG / 2 * area

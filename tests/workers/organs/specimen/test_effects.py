@@ -1,4 +1,4 @@
-"""The effects of the bench: what each does to a problem, or to what is seen."""
+"""Effects of the bench and their actions on problems and observations."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ every = pytest.mark.parametrize("e", EFFECTS, ids=lambda e: e.name)
 
 
 @every
-def test_parameters_are_whole(e):
+def test_parameters_are_consistent(e):
     assert e.summary.endswith(".")
     assert all(e.references)
     for parameter, sd, step in zip(e.parameters, e.prior_sd, e.steps, strict=True):
@@ -51,19 +51,19 @@ def test_parameters_are_whole(e):
 
 
 @every
-def test_neutral_changes_nothing_and_plausible_values_do(e):
+def test_only_plausible_values_change_the_problem(e):
     assert e.apply(PROBLEM, e.neutral, FRAME) is PROBLEM
     assert e.acts_on(PROBLEM, FRAME)
     if e.observation is None:
         assert e.apply(PROBLEM, e.plausible, FRAME) != PROBLEM
 
 
-def test_names_are_one_vocabulary():
+def test_names_are_unique():
     names = [name for e in EFFECTS for name in e.names]
     assert len(set(names)) == len(names)
 
 
-def test_only_what_can_act_is_suspected():
+def test_catalogue_omits_effects_that_cannot_act():
     few = specimen_effects(
         (0, -1, 0), (0, 0, 0), None, weightless=False, markers=False, clamped=False, known_nu=True
     )
@@ -77,34 +77,34 @@ def test_only_what_can_act_is_suspected():
     }
 
 
-def test_weight_pulls_down_and_is_sure_of_its_size():
+def test_self_weight_acts_down_with_a_known_size():
     weight = BY_NAME["self_weight"]
     assert weight.apply(PROBLEM, {"self_weight": 0.5}, FRAME).gravity_g == (0.0, -0.5, 0.0)
     assert weight.if_present == ((1.0, 0.02),)
 
 
-def test_a_mass_hangs_by_its_weight():
+def test_added_mass_is_a_force_of_its_weight():
     values = {"added_mass": GRAM.to_inside(10.0)}
     hung = BY_NAME["added_mass"].apply(PROBLEM, values, FRAME).forces
     assert hung[0] is PROBLEM.forces[0]
     assert hung[1].force_n == pytest.approx((0, -0.0980665, 0))
 
 
-def test_all_forces_are_scaled_and_gravity_is_not():
+def test_load_scale_changes_forces_but_not_gravity():
     scaled = LOAD_SCALE.apply(PROBLEM, {"ln_load": np.log(2)}, FRAME)
     assert scaled.forces[0].force_n == pytest.approx((0, -1.0, 0.2))
     assert scaled.gravity_g == PROBLEM.gravity_g
 
 
-def test_a_clamp_yields_along_its_normal_alone():
+def test_clamp_is_compliant_along_its_normal_only():
     values = {"clamp_compliance": MM_PER_KPA.to_inside(0.02)}
     wall = CLAMP_COMPLIANCE.apply(PROBLEM, values, FRAME).wall
     assert wall.held == (True, True, False)
     assert wall.spring_mpa_per_mm == pytest.approx((0, 0, 0.05))
 
 
-def test_a_base_carries_the_body_with_it():
-    """Small turns about the clamp, against scipy's rotations."""
+def test_base_motion_is_a_rigid_motion():
+    """Small rotations about the clamp, compared with scipy's rotations."""
     rng = np.random.default_rng(0)
     points, normals = rng.uniform(0, 40, (6, 3)), np.tile(np.eye(3), (2, 1))
     shift, turn = np.array([0.1, -0.2, 0.3]), np.array([0.02, 0.01, -0.03])
@@ -116,7 +116,7 @@ def test_a_base_carries_the_body_with_it():
     np.testing.assert_allclose(found, ((moved - points) * normals).sum(axis=1), atol=2e-5)
 
 
-def test_a_turned_frame_turns_displacements():
+def test_frame_turn_rotates_displacements():
     rng = np.random.default_rng(1)
     moves, normals = rng.uniform(-10, 10, (3, 3)), np.eye(3)
     turn = np.array([0.03, -0.02, 0.01])
@@ -127,8 +127,8 @@ def test_a_turned_frame_turns_displacements():
     np.testing.assert_allclose(found, ((turned - moves) * normals).sum(axis=1), atol=1e-5)
 
 
-def test_a_marker_swings_by_its_height():
-    """An arm of 6 mm along y under a turn by 30 degrees about x: exact, not linearised."""
+def test_marker_standoff_moves_with_the_rotation_of_the_surface():
+    """An arm of 6 mm along y rotated by 30 degrees about x: exact, not linearised."""
     R = Rotation.from_euler("x", 30, degrees=True).as_matrix()
     arm = np.tile(R @ [0, 1, 0] - [0, 1, 0], (3, 1))
     assert MARKER_STANDOFF.sees == "arms"

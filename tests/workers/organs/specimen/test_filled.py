@@ -1,4 +1,4 @@
-"""Bodies of mesh files as voxels, against volumes that are known."""
+"""Voxels of mesh files, compared with known volumes."""
 
 import itertools
 
@@ -27,7 +27,7 @@ def spec_of(folder, **body):
 
 
 def ball(radius, count=40):
-    """A closed surface of triangles around the origin."""
+    """Return the points and triangles of a sphere around the origin."""
     theta = np.linspace(0, np.pi, count)[1:-1]
     phi = np.linspace(0, 2 * np.pi, 2 * count, endpoint=False)
     ring = [(np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)) for t in theta for p in phi]
@@ -43,7 +43,7 @@ def ball(radius, count=40):
     return points, np.array(faces)
 
 
-def test_a_ball_of_triangles_is_filled(tmp_path):
+def test_fills_a_sphere_of_triangles(tmp_path):
     points, faces = ball(10.0)
     meshio.write(tmp_path / "a.stl", meshio.Mesh(points, [("triangle", faces)]))
     volume = filled(spec_of(tmp_path, mesh="a.stl", voxel_mm=0.5), tmp_path / "a.stl")
@@ -53,7 +53,7 @@ def test_a_ball_of_triangles_is_filled(tmp_path):
     np.testing.assert_allclose(centre, 0, atol=0.01)
 
 
-def test_the_surface_of_a_block_fills_the_block_in_any_unit(tmp_path):
+def test_fills_the_surface_of_a_block_in_metres(tmp_path):
     mesh = lattice(SIZE, (3, 3, 5))
     faces = boundary_triangles(mesh.tets)
     meshio.write(tmp_path / "a.stl", meshio.Mesh(mesh.nodes / 1000, [("triangle", faces)]))
@@ -67,11 +67,11 @@ def test_the_surface_of_a_block_fills_the_block_in_any_unit(tmp_path):
     np.testing.assert_allclose(body.base_mm, (6, 5, 0), atol=1e-3)
 
 
-def test_an_open_surface_is_refused(tmp_path):
+def test_rejects_an_open_surface(tmp_path):
     points, faces = ball(10.0)
     open_one = faces[points[faces][:, :, 2].mean(axis=1) < 5]
     meshio.write(tmp_path / "a.stl", meshio.Mesh(points, [("triangle", open_one)]))
-    with pytest.raises(InputError, match="no closed surface"):
+    with pytest.raises(InputError, match="not a closed surface"):
         filled(spec_of(tmp_path, mesh="a.stl", voxel_mm=0.5), tmp_path / "a.stl")
 
 
@@ -87,11 +87,11 @@ def test_tetrahedra_keep_their_labels(tmp_path):
     assert (values[-8:] == Tissue.GLANDULAR).all()
     with pytest.raises(InputError, match=r"labels \[9\]"):
         filled(spec_of(tmp_path, labels={7: "soft"}), tmp_path / "a.vtk")
-    with pytest.raises(InputError, match="there are kind"):
+    with pytest.raises(InputError, match="the file has kind"):
         filled(spec_of(tmp_path, labels={7: "soft"}, label_array="k"), tmp_path / "a.vtk")
 
 
-def test_refuses_other_files(tmp_path):
+def test_rejects_damaged_and_tiny_meshes(tmp_path):
     (tmp_path / "a.vtk").write_text("words")
     with pytest.raises(InputError, match="mesh"):
         filled(spec_of(tmp_path), tmp_path / "a.vtk")

@@ -1,4 +1,4 @@
-"""Forces of a testing machine beside a field of displacements: stiffness from both."""
+"""Stiffness from forces of a testing machine and a field of displacements."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ SD_N = 0.001 * abs(FORCE_N)
 
 
 def with_reactions(data, sd_n=SD_N, factor=1.0):
-    """The experiment with a load cell at its top, which reads what theory says."""
+    """Add a load cell at the top that reads the theoretical force."""
     for state, size in zip(data["states"], (1.0, 0.5), strict=True):
         state["reactions"] = [
             {"region": "top", "axis": "z", "force_n": factor * size * FORCE_N, "sd_n": sd_n}
@@ -37,7 +37,7 @@ def with_reactions(data, sd_n=SD_N, factor=1.0):
 
 
 def block(folder):
-    """A model of it and its first problem, with E of 0.12 MPa and nu of 0.35."""
+    """Return a model and its first problem, with E = 0.12 MPa and nu = 0.35."""
     source = read_experiment(write(folder, with_reactions(experiment(folder))))
     model = source.inverse_problem(NODES).model
     problem = source.problem(source.spec.states[0])({"E": 0.12, "compressibility": 0.3})
@@ -45,7 +45,7 @@ def block(folder):
 
 
 def further(problem, factor):
-    """The same with both ends moved by so many times as much."""
+    """Scale the displacements of both ends."""
     holds = []
     for hold in problem.holds:
         field = hold.displacement_mm
@@ -54,7 +54,7 @@ def further(problem, factor):
     return replace(problem, holds=tuple(holds))
 
 
-def test_reactions_are_those_of_uniaxial_stress(tmp_path):
+def test_reactions_match_uniaxial_stress(tmp_path):
     model, problem = block(tmp_path)
     found = reactions(equilibrium(model, further(problem, 0.1)))
     top = model.finest.nodes[:, 2] >= 40 - 1e-9
@@ -72,8 +72,8 @@ def test_reactions_are_those_of_uniaxial_stress(tmp_path):
         pytest.param(40.0, id="16 percent", marks=pytest.mark.slow),
     ],
 )
-def test_derivatives_of_reactions_are_those_of_solved_neighbours(tmp_path, strain):
-    """By stiffness, by Poisson's ratio and by how far the ends move, against differences."""
+def test_derivatives_of_reactions_match_finite_differences(tmp_path, strain):
+    """Derivatives by stiffness, Poisson's ratio and displacement of the ends."""
     model, problem = block(tmp_path)
     problem = replace(further(problem, strain), tolerance_mm=1e-9)
     (tissue,) = problem.constants
@@ -101,15 +101,15 @@ def test_derivatives_of_reactions_are_those_of_solved_neighbours(tmp_path, strai
 
 
 @pytest.mark.slow
-def test_forces_tell_stiffness_and_the_field_tells_the_rest(tmp_path):
-    """Both ends move as measured: without the force, nothing would say how stiff it is."""
+def test_stiffness_needs_a_force_and_nu_only_the_field(tmp_path):
+    """Both ends move as measured, so stiffness is not identifiable without the force."""
     source = read_experiment(write(tmp_path, with_reactions(experiment(tmp_path))))
     inverse, found = calibrate(source.inverse_problem(NODES), None)
     values = found.values()
     assert values["E"] == pytest.approx(YOUNG_KPA * 1e-3, rel=0.01)  # finite strains
     assert (1 - values["compressibility"]) / 2 == pytest.approx(NU, abs=0.003)
     spread = posterior_factor(inverse, found)
-    # Two readings, of 0.1 % and 0.2 % of what they read; and the noise of the ends.
+    # Two readings, with errors of 0.1 % and 0.2 %, and the noise of the ends.
     assert 0.0008 < np.sqrt((spread[0] ** 2).sum()) < 0.01
     alone = read_experiment(write(tmp_path, experiment(tmp_path)))
     inverse, found = calibrate(alone.inverse_problem(NODES), None)
@@ -118,8 +118,8 @@ def test_forces_tell_stiffness_and_the_field_tells_the_rest(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_reading_counts_as_much_as_its_noise_says(tmp_path):
-    """Two cells that disagree, at both ends: their weighted mean."""
+def test_readings_are_weighted_by_their_noise(tmp_path):
+    """Two cells that disagree, one at each end, give their weighted mean."""
     data = with_reactions(experiment(tmp_path, nu=NU))
     for state, size in zip(data["states"], (1.0, 0.5), strict=True):
         force = -1.05 * size * FORCE_N
@@ -134,7 +134,7 @@ def test_a_reading_counts_as_much_as_its_noise_says(tmp_path):
 
 
 @pytest.mark.slow
-def test_what_is_said_of_forces(tmp_path):
+def test_summary_has_measured_and_predicted_forces(tmp_path):
     data = with_reactions(experiment(tmp_path))
     stated = [
         {"region": "bottom", "displacement_mm": [0, 0, 0]},
@@ -159,7 +159,7 @@ def test_what_is_said_of_forces(tmp_path):
     assert summary.gap_mm.before.points == 2 * 3 * len(source.observed.points_mm)
     further, released = summary.predictions
     (force,) = further.reactions
-    # Ends that hold their sides, and a layer of 8 mm at either that does not deform.
+    # The ends cannot contract, and a layer of 8 mm at each does not deform.
     stress = YOUNG_KPA * 1e-3 * -0.3 / 32 * SIZE[0] * SIZE[1]
     assert force.force_n == pytest.approx(stress, rel=0.1)
     assert 0 < force.sd_n < 0.02 * abs(stress)
@@ -174,7 +174,7 @@ def test_what_is_said_of_forces(tmp_path):
         ([{"region": "top", "axis": "z", "sd_n": 0}], "greater than 0"),
     ],
 )
-def test_reactions_without_sense_are_refused(tmp_path, reactions, words):
+def test_rejects_invalid_reactions(tmp_path, reactions, words):
     data = experiment(tmp_path)
     for state in data["states"]:
         state["reactions"] = [{"force_n": -1.0, "sd_n": 0.1} | one for one in reactions]
@@ -182,7 +182,7 @@ def test_reactions_without_sense_are_refused(tmp_path, reactions, words):
         read_experiment(write(tmp_path, data))
 
 
-def test_all_states_have_the_same_cells(tmp_path):
+def test_rejects_reactions_that_differ_between_states(tmp_path):
     data = with_reactions(experiment(tmp_path))
     data["states"][1]["reactions"] = []
     with pytest.raises(InputError, match="the same in all states"):

@@ -1,4 +1,4 @@
-"""Regions that move as was measured, and Poisson's ratios that are searched."""
+"""Regions that move as measured, and fitted Poisson's ratios."""
 
 import json
 from dataclasses import replace
@@ -32,19 +32,19 @@ MEASURED = [{"region": "bottom", "measured": True}, {"region": "top", "measured"
 
 
 def grid(step=4.0):
-    """Points of the body, as image correlation has them: none on its faces."""
+    """Return points of the body as in image correlation: none on its faces."""
     axes = [np.arange(step / 2, side, step) for side in SIZE]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def moved(points, size=1.0):
-    """What uniaxial compression does to them."""
+    """Return the displacements of points under uniaxial compression."""
     x, y, z = (points - [SIZE[0] / 2, SIZE[1] / 2, 0]).T
     return size * STRAIN * np.column_stack([-NU * x, -NU * y, z])
 
 
 def experiment(folder, moves=MEASURED, nu=(0.2, 0.45), forces=()):
-    """Two states of one field, the second with half of the strain."""
+    """Write two states of a field, the second with half the strain."""
     data = described(field={"sd_mm": 0.001}, regions=ENDS, predict=[])
     del data["markers"], data["holds"]
     data["materials"]["rubber"]["nu"] = list(nu) if isinstance(nu, tuple) else nu
@@ -58,7 +58,7 @@ def experiment(folder, moves=MEASURED, nu=(0.2, 0.45), forces=()):
 
 
 @pytest.mark.parametrize("thickness", [0.0, 3.0], ids=["of a plane", "of a layer"])
-def test_an_affine_motion_is_continued_exactly(thickness):
+def test_extrapolates_an_affine_motion_exactly(thickness):
     rng = np.random.default_rng(4)
     points = rng.uniform([0, 0, 0], [20, 20, thickness], (30, 3))
     A, b = rng.normal(0, 0.1, (3, 3)), np.array([1.0, -2.0, 0.5])
@@ -67,7 +67,7 @@ def test_an_affine_motion_is_continued_exactly(thickness):
     np.testing.assert_allclose(field.at(asked), asked @ A.T + b, atol=1e-9)
 
 
-def test_the_field_goes_through_its_points_and_is_smooth_between():
+def test_interpolates_a_field_smoothly_between_points():
     points = grid(3.0)
     waves = 0.2 * np.sin(points / 6.0)
     hold = Hold(EVERYWHERE, DisplacementField(*(tuple(map(tuple, p)) for p in (points, waves))))
@@ -76,35 +76,35 @@ def test_the_field_goes_through_its_points_and_is_smooth_between():
     np.testing.assert_allclose(hold.at(between), 0.2 * np.sin(between / 6.0), atol=0.01)
 
 
-def test_how_compressible_a_material_is_follows_from_its_ends(tmp_path):
-    """Both ends move as measured: the sides between them tell Poisson's ratio, to 0.003."""
+def test_recovers_poisson_ratio_from_moved_ends(tmp_path):
+    """Both ends move as measured; nu is recovered within 0.003."""
     source = read_experiment(write(tmp_path, experiment(tmp_path)))
     _, found = calibrate(source.inverse_problem(NODES), None)
     assert (1 - found.values()["compressibility"]) / 2 == pytest.approx(NU, abs=0.003)
     assert "compressibility" not in [e.name for e in source.effects]
 
 
-def test_a_force_at_an_end_tells_stiffness_too(tmp_path):
-    """One end moves as measured, the other carries a force that the frame has measured."""
+def test_recovers_stiffness_from_a_force_at_one_end(tmp_path):
+    """One end moves as measured, and the other carries a measured force."""
     data = experiment(tmp_path, MEASURED[:1], forces=["face"])
     data["regions"] = ENDS | {"face": {"plane": {"axis": "z", "at_mm": SIZE[2]}}}
     source = read_experiment(write(tmp_path, data))
     _, found = calibrate(source.inverse_problem(NODES), None)
     values = found.values()
     assert values["E"] == pytest.approx(YOUNG_KPA * 1e-3, rel=0.02)
-    # Nodes of the face share the force alike, those at its edges too: points near it feel that.
+    # Nodes of the face carry equal forces, also at its edges, which affects points near it.
     assert (1 - values["compressibility"]) / 2 == pytest.approx(NU, abs=0.015)
 
 
-def test_a_fit_may_try_what_no_material_is(tmp_path):
-    """A step that is too long must not end a diagnosis: nu stays positive."""
+def test_poisson_ratio_stays_positive_after_a_long_step(tmp_path):
+    """A fit that tries 1 - 2 nu > 1 continues."""
     source = read_experiment(write(tmp_path, experiment(tmp_path)))
     tried = source.problem(source.spec.states[0])({"E": 0.1, "compressibility": 2.6})
     (constants,) = tried.constants.values()
     assert 0 < constants.poisson < 0.002
 
 
-def test_points_that_prescribe_are_not_compared(tmp_path):
+def test_boundary_points_are_not_compared(tmp_path):
     source = read_experiment(write(tmp_path, experiment(tmp_path)))
     z = grid()[:, 2]
     own = grid()[(z > 8) & (z < 40)]
@@ -114,7 +114,7 @@ def test_points_that_prescribe_are_not_compared(tmp_path):
     assert source.observed.boundary_moved_mm.shape == (2, len(z) - len(own), 3)
 
 
-def test_the_store_holds_the_boundary_too(tmp_path):
+def test_content_restores_the_boundary(tmp_path):
     source = read_experiment(write(tmp_path, experiment(tmp_path)))
     content = source.content
     json.dumps(content.record)
@@ -132,12 +132,12 @@ def test_the_store_holds_the_boundary_too(tmp_path):
         ({"predict": [{"name": "free"}]}, "nothing holds the body"),
     ],
 )
-def test_what_cannot_be_measured_there_is_refused(tmp_path, change, words):
+def test_rejects_unmeasured_boundaries(tmp_path, change, words):
     with pytest.raises(InputError, match=words):
         read_experiment(write(tmp_path, experiment(tmp_path) | change))
 
 
-def test_a_move_is_stated_or_measured(tmp_path):
+def test_rejects_invalid_moves_and_fields(tmp_path):
     both = [{"region": "top", "measured": True, "displacement_mm": [0, 0, 1]}]
     with pytest.raises(InputError, match="exactly one of displacement_mm and measured"):
         read_experiment(write(tmp_path, experiment(tmp_path, both)))
@@ -156,8 +156,8 @@ def test_a_move_is_stated_or_measured(tmp_path):
 
 
 @pytest.mark.slow
-def test_noise_of_the_boundary_moves_all_points_as_is_said(tmp_path):
-    """Against bodies solved with 40 draws of it, at points two layers or more above the slab."""
+def test_boundary_covariance_matches_random_draws(tmp_path):
+    """Compared with 40 solved draws of the noise, at points at least two layers above the slab."""
     sd_mm, rng = 0.01, np.random.default_rng(5)
     source = read_experiment(write(tmp_path, experiment(tmp_path, MEASURED[:1])))
     mesh = source.body.mesh(NODES)
@@ -179,13 +179,13 @@ def test_noise_of_the_boundary_moves_all_points_as_is_said(tmp_path):
         moved.append(at @ (solved - start.solution.displacement_mm))
     shown = np.mean(np.square(moved), axis=0)  # (k, 3)
     said = np.diag(expected).reshape(-1, 3)
-    # A sum of two modes in 40 draws is known to a fifth; sideways the tilt makes it five times sd.
+    # 40 draws determine a sum of two modes within a fifth; tilt adds five times sd sideways.
     assert np.sqrt(shown.mean(axis=0)) == pytest.approx(np.sqrt(said.mean(axis=0)), rel=0.25)
     assert np.sqrt(said[:, 0].max()) > 2 * sd_mm
     assert np.corrcoef(shown.ravel(), said.ravel())[0, 1] > 0.9
 
 
-def test_only_states_that_move_as_measured_have_its_noise(tmp_path):
+def test_boundary_noise_is_limited_to_measured_states(tmp_path):
     data = experiment(tmp_path, MEASURED[:1])
     stated = {"region": "bottom", "displacement_mm": [0, 0, 0]}
     data["states"][1]["moves"] = [stated]
@@ -197,7 +197,7 @@ def test_only_states_that_move_as_measured_have_its_noise(tmp_path):
 
 
 @pytest.mark.parametrize("normal", [(0, 0, 1), (1, 2, 3)], ids=["along z", "oblique"])
-def test_points_of_a_plane_have_three_modes_along_each_axis(normal):
+def test_plane_has_three_affine_modes_along_each_axis(normal):
     """Their squares sum to the hat matrix of a plane: a trace of three for each axis."""
     rng, sd_mm = np.random.default_rng(6), 0.02
     across = np.linalg.svd(np.array([normal], float))[2][1:]

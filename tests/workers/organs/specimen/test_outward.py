@@ -1,4 +1,4 @@
-"""Normals at points of a surface, and arms that stand on it."""
+"""Normals of a surface and arms on it."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ def normals_at(points, stated=None):
 
 
 def test_distance_from_a_triangle():
-    r"""By hand.
+    r"""Worked out by hand.
 
     ::
 
@@ -34,28 +34,28 @@ def test_distance_from_a_triangle():
     for point, expected in [
         ((1, 1, 2), 2.0),  # above it
         ((5, 0, 0), 1.0),  # beyond a corner
-        ((2, -3, 0), 3.0),  # beside an edge
-        ((4, 3, 0), 12 / 5),  # beside the hypotenuse
+        ((2, -3, 0), 3.0),  # next to an edge
+        ((4, 3, 0), 12 / 5),  # next to the hypotenuse
         ((-3, -4, 12), 13.0),
     ]:
         found = distances_to_triangles(np.array(point, float), corners)
         assert found[0] == pytest.approx(expected)
 
 
-def test_faces_of_a_block_say_which_way_is_out():
+def test_normals_of_block_faces_point_outwards():
     found = normals_at([(5, 10, 9), (0.0, 4.5, 3), (5, 10.4, 9), (4, 4, 20)])
     np.testing.assert_allclose(found, [(0, 1, 0), (-1, 0, 0), (0, 1, 0), (0, 0, 1)], atol=1e-12)
 
 
-def test_an_edge_needs_a_direction():
-    with pytest.raises(InputError, match="marker 0 lies on an edge"):
+def test_marker_on_an_edge_needs_a_direction():
+    with pytest.raises(InputError, match="marker 0 is on an edge"):
         normals_at([(5.0, 10.0, 20.0)])
     found = normals_at([(5.0, 10.0, 20.0)], [(0, 3, 4)])
     np.testing.assert_allclose(found, [(0, 0.6, 0.8)])
 
 
-def test_arms_turn_with_the_body():
-    """Under x -> G x + t the end of an arm n moves by (G - I) n against its foot."""
+def test_arms_rotate_with_the_body():
+    """Under x -> G x + t the end of an arm n moves by (G - I) n relative to its foot."""
     rng = np.random.default_rng(1)
     feet = np.array([(6, 10, 20), (0, 4, 13), (7, 10, 6)], float)
     out = [(0.0, 1.0, 0.0), None, None]

@@ -19,12 +19,12 @@ NODES = 200
 
 
 def force_n(stretch):
-    """The force of an incompressible neo-Hookean strip."""
+    """Return the force on an incompressible neo-Hookean strip."""
     return E_KPA * 1e-3 / 3 * (stretch - stretch**-2) * WIDTH * THICKNESS
 
 
 def described(**changes):
-    """A strip that is pulled along x and free to narrow, with a load cell."""
+    """Return a strip that is pulled along x and free to narrow, with a load cell."""
     moves = {
         name: [{"region": "right", "axes": ["x"], "displacement_mm": [(s - 1) * LENGTH, 0, 0]}]
         for name, s in (STRETCHES | {"most": 1.4}).items()
@@ -67,7 +67,7 @@ def moved(stretch):
 
 
 def written(folder, data):
-    """The file of an experiment and its tables, in which no z is recorded."""
+    """Write the file of an experiment and its tables without z."""
     rng = np.random.default_rng(3)
     for name, stretch in STRETCHES.items():
         noisy = moved(stretch) + 0.01 * rng.standard_normal((12, 2))
@@ -104,7 +104,7 @@ def test_diagnosis_finds_the_stiffness_and_predicts_the_force(tmp_path):
     assert "uz_mm was not measured and is not compared." in summary.data_notes
 
 
-def test_markers_need_no_column_of_z(tmp_path):
+def test_reads_markers_without_z(tmp_path):
     markers = {
         "rest_s": [0, 1],
         "loaded_s": [-1, 0],
@@ -127,7 +127,7 @@ def test_markers_need_no_column_of_z(tmp_path):
     assert "marker_standoff" not in [effect.name for effect in source.effects]
 
 
-def test_derivatives_of_points_and_readings_are_those_of_solved_neighbours(tmp_path):
+def test_derivatives_of_points_and_readings_match_finite_differences(tmp_path):
     source = read_experiment(written(tmp_path, described()))
     inverse = source.inverse_problem(NODES)
     assert isinstance(inverse.forward, SheetForward)
@@ -190,12 +190,12 @@ def test_pressure_inflates_a_sheet():
         ),
     ],
 )
-def test_body_that_is_no_sheet_is_refused(body, message):
+def test_rejects_invalid_sheets(body, message):
     with pytest.raises(InputError, match=message):
         palpate.Specimen(described(body=body))
 
 
-def test_pressure_on_a_block_is_refused():
+def test_rejects_pressure_on_a_block():
     data = described(body={"box_mm": [40, 20, 5]})
     data["states"][0]["pressure_kpa"] = 1.0
     with pytest.raises(InputError, match="pressure_kpa inflates a sheet"):

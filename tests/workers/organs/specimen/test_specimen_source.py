@@ -1,4 +1,4 @@
-"""An experiment of a known body: its files, its residuals and its diagnosis."""
+"""An experiment on a known body: files, residuals and diagnosis."""
 
 from functools import cache
 
@@ -33,21 +33,21 @@ from tests.workers.organs.specimen.experiments import (
 )
 from tests.workers.tasks.one_process import diagnosed_store, diagnosis_in
 
-# The body as it is: heavy, and with its markers on stalks.
+# The true body has weight, and its markers are on stalks.
 YOUNG, DENSITY, STALK_MM = 0.12, 1.2e-9, 3.0
 TURN = Rotation.from_euler("xyz", [20, -50, 100], degrees=True).as_matrix()
 NODES = 700
 
 
 def shown(force_n, gravity=1.0, stalk_mm=STALK_MM):
-    """Displacements of markers on stalks, extrapolated from two finer meshes."""
+    """Return displacements of markers on stalks, extrapolated from two finer meshes."""
     rough, fine = (meshed(n, force_n, gravity, stalk_mm) for n in (4, 6))
     return fine + (fine - rough) / ((6 / 4) ** 2 - 1)
 
 
 @cache
 def meshed(across, force_n, gravity, stalk_mm):
-    """The same on one mesh."""
+    """Return displacements of markers on stalks on one mesh."""
     hierarchy = lattices(SIZE, (across, across, 4 * across))
     tip = Box((-1, -1, SIZE[2] - 1e-3), (99, 99, SIZE[2] + 1e-3))
     problem = Problem(
@@ -83,14 +83,14 @@ def source(tmp_path_factory):
     return read_experiment(path)
 
 
-def test_markers_are_seen_in_the_frame_of_the_body(source):
+def test_recordings_are_rotated_into_the_frame_of_the_body(source):
     for moved, force in zip(source.observed.moved_mm, LOADS_N.values(), strict=True):
         np.testing.assert_allclose(moved, shown(force), atol=0.08)
     assert source.observed.misfit_mm == pytest.approx(0, abs=1e-6)
 
 
-def test_the_true_model_leaves_only_noise(source):
-    """With weight and stalks the residual is no larger than scatter and mesh allow."""
+def test_residual_of_the_true_model_is_noise(source):
+    """With weight and stalks the residual is within the scatter and the error of the mesh."""
     inverse = source.inverse_problem(NODES, 0.0)
     chosen = [e for e in source.effects if e.name in ("self_weight", "marker_standoff")]
     free = unknowns(inverse.free, chosen)
@@ -102,8 +102,8 @@ def test_the_true_model_leaves_only_noise(source):
 
 
 @pytest.mark.slow
-def test_derivatives_are_those_of_the_residual(source):
-    """Constants, body and observation at once: a body that moves is seen elsewhere."""
+def test_derivatives_match_finite_differences(source):
+    """Derivatives by constants and by effects on body and observation together."""
     inverse = source.inverse_problem(NODES, 0.0)
     wanted = ("self_weight", "marker_standoff", "frame_turn", "base_motion")
     free = unknowns(inverse.free, [e for e in source.effects if e.name in wanted])
@@ -125,8 +125,8 @@ def test_derivatives_are_those_of_the_residual(source):
 
 
 @pytest.mark.slow
-def test_shape_constants_are_searched_with_their_derivatives(tmp_path):
-    """A material with Yeoh's law has no strain stiffening to suspect; its c2 is a constant."""
+def test_derivatives_by_shape_constants_match_finite_differences(tmp_path):
+    """With Yeoh's law, c2 is a fitted constant and strain stiffening is not a candidate."""
     path = experiment(tmp_path)
     data = yaml.safe_load(path.read_text())
     data["materials"]["rubber"] |= {"law": "yeoh", "constants": {"yeoh_c2": [1, 4]}}
@@ -148,15 +148,15 @@ def test_shape_constants_are_searched_with_their_derivatives(tmp_path):
         np.testing.assert_allclose(columns[:, p], expected, atol=0.01 * np.abs(expected).max())
 
 
-def test_the_stiffness_is_found_where_nothing_is_missing(tmp_path):
-    """A weightless body with markers on its skin, seen without noise."""
+def test_recovers_stiffness_with_a_complete_model(tmp_path):
+    """A weightless body with markers on its surface, recorded without noise."""
     path = experiment(tmp_path, gravity=0.0, stalk_mm=0.0)
     _, found = calibrate(read_experiment(path).inverse_problem(NODES, 0.0), None)
     assert found.values()["E"] == pytest.approx(YOUNG, rel=0.015)
 
 
 @pytest.mark.slow
-def test_weight_and_stalks_are_named(source, tmp_path):
+def test_diagnosis_finds_weight_and_stalks(source, tmp_path):
     store = diagnosed_store(source, tmp_path / "store", NODES, 0.0)
     found, nominal = diagnosis_in(store), store.nominal
     assert found.verdict.kind == "effect"
@@ -170,7 +170,7 @@ def test_weight_and_stalks_are_named(source, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_state_that_was_kept_aside_is_predicted(source):
+def test_predicts_a_held_out_state(source):
     inverse = source.inverse_problem(NODES, 0.0)
     chosen = [e for e in source.effects if e.name in ("self_weight", "marker_standoff")]
     free = unknowns(inverse.free, chosen)
@@ -186,7 +186,7 @@ def test_a_state_that_was_kept_aside_is_predicted(source):
     assert [p.name for p in heavier.points] == list(MARKERS)
 
 
-def test_files_are_all_that_the_result_depends_on(source, tmp_path):
+def test_files_of_lists_all_inputs(source, tmp_path):
     path = experiment(tmp_path)
     assert [f.name for f in files_of(read_spec(path), path)] == [
         "experiment.yaml",
@@ -199,23 +199,23 @@ def test_files_are_all_that_the_result_depends_on(source, tmp_path):
     source.check()
 
 
-def test_says_what_is_missing(tmp_path):
+def test_names_a_missing_recording(tmp_path):
     path = write(tmp_path, described())
     with pytest.raises(InputError, match=r"names bare\.csv, which is not at"):
         read_experiment(path)
 
 
-def test_markers_in_another_unit_are_noticed(tmp_path):
+def test_rejects_markers_in_another_unit(tmp_path):
     data = described()
     data["markers"]["mm_per_unit"] = 1000
     for state in data["states"]:
         record(tmp_path / state["files"][0], np.zeros((3, 3)), TURN)
-    with pytest.raises(InputError, match="off its place at rest"):
+    with pytest.raises(InputError, match="off its position at rest"):
         read_experiment(write(tmp_path, data))
 
 
-def test_a_field_of_points_is_many_markers(tmp_path):
-    """Displacements of points inside the body: no stalks, and no frame to fit."""
+def test_reads_a_field_of_points(tmp_path):
+    """Points inside the body have no stalks, and no frame is fitted."""
     data = described(field={"sd_mm": 0.01, "common_sd_mm": 0.03})
     del data["markers"]
     points = np.random.default_rng(2).uniform([1, 1, 5], [11, 11, 47], (20, 3))
@@ -238,7 +238,7 @@ def test_a_field_of_points_is_many_markers(tmp_path):
     C = source.observed.covariance
     assert C[0, 0] == pytest.approx(0.01**2 + 0.03**2)
     assert C[0, 3] == pytest.approx(0.03**2)
-    # A body that has moved just as observed leaves nothing.
+    # A body that moves exactly as observed has no residual.
     nodes = inverse.model.finest.nodes
     u = np.column_stack([0 * nodes[:, 0], -nodes[:, 2] / 48, nodes[:, 1] / 48])
     r, normals = inverse.scans[1].compare(
@@ -248,8 +248,8 @@ def test_a_field_of_points_is_many_markers(tmp_path):
     np.testing.assert_array_equal(normals[:3], np.eye(3))
 
 
-def test_a_body_from_a_file_is_clamped_at_its_lowest_plane(tmp_path):
-    """A block of tetrahedra, as voxels: the same wall, arms and loads as the block itself."""
+def test_body_from_a_file_is_clamped_at_its_lowest_plane(tmp_path):
+    """A voxelised block of tetrahedra has the wall, arms and loads of the block itself."""
     mesh = lattice(SIZE, (3, 3, 12))
     solid = meshio.Mesh(mesh.nodes / 10, [("tetra", mesh.tets)])
     meshio.write(tmp_path / "beam.vtk", solid)

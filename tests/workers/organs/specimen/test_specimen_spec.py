@@ -1,4 +1,4 @@
-"""What an experiment's file may say, and what is refused with which words."""
+"""Valid and invalid files of experiments."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ EXAMPLE = Path(__file__).parents[4] / "examples" / "beam.yaml"
 
 
 def changed(path, value):
-    """The description with one thing changed, or taken out."""
+    """Return the description with one value changed or removed."""
     data = described()
     *way, last = path.split(".")
     at = data
@@ -49,30 +49,30 @@ def changed(path, value):
         ("regions.tip", {}, "one of box_mm, plane and outside_circle_mm"),
     ],
 )
-def test_refuses_what_makes_no_sense(tmp_path, path, value, words):
+def test_rejects_invalid_values(tmp_path, path, value, words):
     with pytest.raises(InputError, match=words):
         read_spec(write(tmp_path, changed(path, value)))
 
 
-def test_refuses_what_is_no_file_or_no_yaml(tmp_path):
+def test_rejects_missing_files_and_other_content(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         read_spec(tmp_path / "nowhere.yaml")
     (tmp_path / "a.yaml").write_text("a: [")
     with pytest.raises(InputError, match="not valid YAML"):
         read_spec(tmp_path / "a.yaml")
     (tmp_path / "b.yaml").write_text("- 1")
-    with pytest.raises(InputError, match="no experiment"):
+    with pytest.raises(InputError, match="not an experiment"):
         read_spec(tmp_path / "b.yaml")
 
 
-def test_the_example_is_read():
+def test_reads_the_example():
     spec = read_spec(EXAMPLE)
     assert [s.name for s in spec.states] == ["0 g", "52 g"]
     assert [s.name for s in spec.predict] == ["101 g"]
     assert yaml.safe_load(EXAMPLE.read_text())["organ"] == "specimen"
 
 
-def test_the_words_become_a_problem(tmp_path):
+def test_converts_loads_and_holds_to_a_problem(tmp_path):
     data = changed("gravity", "modelled")
     data["states"][1] |= {
         "forces": [{"region": "tip", "mass_g": 5}],
@@ -89,7 +89,7 @@ def test_the_words_become_a_problem(tmp_path):
     assert problem.holds == (Hold(problem.forces[0].region, (1.0, 0.0, 0.0), (True, False, False)),)
 
 
-def test_a_hold_that_is_not_the_lowest_plane_is_held_in_place(tmp_path):
+def test_hold_off_the_lowest_plane_is_not_a_wall(tmp_path):
     data = described()
     data["holds"] = [{"region": "tip", "axes": ["y"]}]
     spec = read_spec(write(tmp_path, data))
@@ -98,7 +98,7 @@ def test_a_hold_that_is_not_the_lowest_plane_is_held_in_place(tmp_path):
     assert problem.holds[0].axes == (False, True, False)
 
 
-def test_a_material_may_have_another_law(tmp_path):
+def test_material_with_yeoh_law(tmp_path):
     rubber = described()["materials"]["rubber"] | {"law": "yeoh"}
     constants = {"yeoh_c2": [0.1, 2], "yeoh_c3": -0.5}
     spec = read_spec(
@@ -114,7 +114,7 @@ def test_a_material_may_have_another_law(tmp_path):
     assert "yeoh, yeoh_c2 expected from 0.1 to 2, yeoh_c3 -0.5" in dict(understood(spec))["rubber"]
 
 
-def test_the_default_law_is_that_of_older_experiments(tmp_path):
+def test_default_law_is_neo_hookean_and_not_stored(tmp_path):
     spec = read_spec(write(tmp_path, described()))
     assert spec.can_stiffen
     assert "constants" not in spec.model_dump(mode="json")["materials"]["rubber"]
@@ -133,7 +133,7 @@ def test_the_default_law_is_that_of_older_experiments(tmp_path):
         ("fung", {"fung_b": [0, 1]}, "greater than 0"),
     ],
 )
-def test_refuses_shape_constants_that_make_no_sense(tmp_path, law, constants, words):
+def test_rejects_invalid_shape_constants(tmp_path, law, constants, words):
     rubber = described()["materials"]["rubber"] | {"law": law, "constants": constants}
     with pytest.raises(InputError, match=words):
         read_spec(write(tmp_path, described(materials={"rubber": rubber})))

@@ -1,4 +1,4 @@
-"""Keywords of input decks that the reader of meshes passes over, though they move the body."""
+"""Keywords of input decks that the mesh reader ignores although they move the body."""
 
 from pathlib import Path
 
@@ -8,17 +8,17 @@ from palpate.workers.input_files import MIB, read_bytes
 DECK_BYTES = 512 * MIB
 ABAQUS, NASTRAN = (".inp",), (".bdf", ".nas", ".fem")
 GENERATORS = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM", "INCLUDE"}
-# Each of these may be there once: of more the reader keeps the last.
+# Each of these may occur only once: the reader keeps the last.
 ONCE = ("PART", "INSTANCE", "NODE")
 
 
 def check_deck(path: Path) -> None:
-    """Refuse an input deck that would be read in part.
+    """Refuse an input deck that would be read incompletely.
 
     Raises
     ------
     InputError
-        Naming the first keyword that is not read, with its line.
+        With the first unsupported keyword and its line.
     """
     suffix = path.suffix.lower()
     if suffix not in ABAQUS + NASTRAN:

@@ -1,4 +1,4 @@
-"""What the file of an experiment was understood to say, as rows for a reader."""
+"""Summary of the file of an experiment as a table."""
 
 from palpate.workers.organs.specimen.spec import (
     BodySpec,
@@ -10,7 +10,7 @@ from palpate.workers.organs.specimen.spec import (
 
 
 def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:
-    """Return a name and a text for all that the diagnosis will rest on."""
+    """Return the inputs of a diagnosis as names and texts."""
     markers, field = spec.markers, spec.field
     rows = [
         ("experiment", spec.name),
@@ -22,7 +22,7 @@ def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:
     if markers is not None:
         rows.append(("markers", f"{len(markers.markers)}, sd {markers.sd_mm:g} mm"))
     if field is not None:
-        rows.append(("field of displacements", f"sd {field.sd_mm:g} mm"))
+        rows.append(("displacement field", f"sd {field.sd_mm:g} mm"))
     states = (
         (f"state {s.name}", "; ".join([_loads(s), *_reactions(s), ", ".join(s.files)]))
         for s in spec.states
@@ -79,4 +79,4 @@ def _loads(loads: LoadsSpec) -> str:
     ]
     if loads.pressure_kpa:
         texts.append(f"pressure of {loads.pressure_kpa:g} kPa")
-    return "; ".join(texts) or "no load of its own"
+    return "; ".join(texts) or "no load"

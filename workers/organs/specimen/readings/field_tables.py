@@ -1,8 +1,8 @@
-"""Displacements of many points from tables, of which components may be unmeasured.
+"""Tables of displacements of many points, some components of which may be missing.
 
-Image correlation with one camera sees no motion along its axis, and every correlation
-loses single points: a column that is absent, an empty cell and nan mean that a component
-was not measured.
+Image correlation with one camera cannot measure motion along its axis, and any correlation
+loses some points: an absent column, an empty cell or nan means that a component was not
+measured.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from palpate.workers.organs.specimen.spec import SpecimenSpec
 
 POINT = ("x_mm", "y_mm", "z_mm")
 MOVE = ("ux_mm", "uy_mm", "uz_mm")
-# Of one point in two files, in mm.
+# Largest difference between positions of a point in two files, in mm.
 SAME = 1e-6
 UNITS = dict.fromkeys((*POINT, *MOVE), ("mm",))
 
@@ -33,7 +33,7 @@ class FieldTables:
     repeats_mm : tuple of ndarray, shape (r, k, 3)
         Displacements of each state; nan where a component was not measured.
     notes : tuple of str
-        Sentences about what is not compared.
+        Notes on components that are not compared.
     """
 
     points_mm: FloatArray
@@ -42,7 +42,7 @@ class FieldTables:
 
     @property
     def measured(self) -> BoolArray:
-        """Return which components were measured in all recordings, shape (k, 3)."""
+        """Mask of components that were measured in all recordings, shape (k, 3)."""
         return np.asarray(np.isfinite(np.concatenate(self.repeats_mm)).all(axis=0))
 
 
@@ -53,12 +53,12 @@ def read_field(spec: SpecimenSpec, folder: Path) -> FieldTables:
     ----------
     spec : SpecimenSpec
     folder : Path
-        To which the names of its files are relative.
+        Folder to which the names of its files are relative.
 
     Raises
     ------
     InputError
-        If a table cannot be read, holds no displacement, or lists other points.
+        If a table cannot be read, has no displacements, or lists other points.
     """
     points: FloatArray | None = None
     is_sheet = spec.body.sheet is not None
@@ -86,20 +86,20 @@ def _check_points(path: Path, table: NumberTable, found: FloatArray, first: Floa
     bad = np.flatnonzero(~np.isfinite(found).all(axis=1))
     if len(bad):
         raise InputError(
-            f"{path}, line {table.lines[bad[0]]}: the place of a point is not complete. Points "
-            f"need {', '.join(POINT)} as finite numbers."
+            f"{path}, line {table.lines[bad[0]]}: the position of a point is incomplete. "
+            f"Points need {', '.join(POINT)} as finite numbers."
         )
     if found.shape != first.shape or np.abs(found - first).max() > SAME:
         raise InputError(
-            f"{path} lists other points than the files before it. All recordings must list the "
+            f"{path} lists different points from the files before it. All recordings must list the "
             "same points at rest, in the same order."
         )
 
 
 def _displacements(path: Path, table: NumberTable) -> FloatArray:
-    """Return displacements with nan where a component was not measured, shape (k, 3)."""
+    """Return displacements, nan for components that were not measured, shape (k, 3)."""
     if not set(MOVE) & set(table.columns):
-        raise InputError(f"{path} lacks the columns {', '.join(MOVE)}: one at least is needed.")
+        raise InputError(f"{path} lacks the columns {', '.join(MOVE)}: at least one is needed.")
     moved = _columns(table, MOVE)
     bad = np.flatnonzero(np.isinf(moved).any(axis=1))
     if len(bad):
@@ -116,7 +116,7 @@ def _columns(table: NumberTable, names: Sequence[str]) -> FloatArray:
 
 
 def _notes(measured: BoolArray) -> tuple[str, ...]:
-    """Return sentences about components that are not compared."""
+    """Return notes on components that are not compared."""
     absent = [name for name, column in zip(MOVE, measured.T, strict=True) if not column.any()]
     rest = measured[:, measured.any(axis=0)]
     single = int((~rest).any(axis=1).sum())
@@ -125,7 +125,7 @@ def _notes(measured: BoolArray) -> tuple[str, ...]:
         notes.append(f"{' and '.join(absent)} was not measured and is not compared.")
     if single:
         notes.append(
-            f"{single} of {len(measured)} points lack a component in some recording; what they "
-            "lack is not compared."
+            f"{single} of {len(measured)} points lack a component in some recording; missing "
+            "components are not compared."
         )
     return tuple(notes)

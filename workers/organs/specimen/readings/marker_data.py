@@ -1,4 +1,4 @@
-"""What was observed of a specimen: points of its body, their displacements, and their noise."""
+"""Observations of a specimen: points of its body, their displacements and noise."""
 
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -22,12 +22,12 @@ from palpate.workers.organs.specimen.readings.field_tables import MOVE, FieldTab
 from palpate.workers.organs.specimen.readings.spec import FieldSpec, MarkersSpec
 from palpate.workers.organs.specimen.spec import SpecimenSpec
 
-# Markers at rest this far off their places have been mixed up, or misread.
+# Markers at rest this far from their stated positions were mixed up or misread.
 FARTHEST_MM = 10.0
-# Points of a field that show how a region moves, at least: an affine motion of a plane.
+# Fewest points of a field that determine the motion of a region: an affine motion of a plane.
 FEWEST = 4
-# Repeats that scatter by more than so many times the stated noise need a confirmation, and so
-# does a single point that repeats place this much further apart.
+# Repeats that scatter by more than this multiple of the stated noise need a confirmation; the
+# second limit applies to single points.
 MOST_SCATTER, MOST_OF_ONE = 5.0, 20.0
 
 
@@ -38,26 +38,27 @@ class Observed:
     Parameters
     ----------
     points_mm : ndarray, shape (k, 3)
-        Where the model believes them, in the frame of the body.
+        Positions in the model, in the frame of the body.
     names : tuple of str
     moved_mm : ndarray, shape (s, k, 3)
         Means over the repeats; nan for components that were not measured.
     covariance : ndarray, shape (s m, s m)
-        Of the m components that are compared in each state; see
+        Covariance of the m compared components of each state; see
         `workers.comparison.observation.marker_noise.component_covariance`.
     sd_mm : float
-        Of a component of one point, typically.
+        Typical standard deviation of a component of one point.
     misfit_mm : float
-        Of the markers at rest from the places they should have; 0 without a frame.
+        Distance of the markers at rest from their stated positions; 0 without a frame.
     repeats_mm : tuple of float
-        Mean absolute difference between the first two repeats of each state; nan for one.
+        Mean absolute difference between the first two repeats of each state; nan without repeats.
     boundary_mm : ndarray, shape (b, 3)
-        Points of a field whose displacement is prescribed; none of the k points.
+        Points of a field whose displacement is prescribed, not among the k points.
     boundary_moved_mm : ndarray, shape (s, b, 3)
+        Displacements of these points.
     notes : tuple of str
-        Sentences about what is missing in the recordings.
+        Notes on missing data in the recordings.
     scatter : str
-        How far repeats differ, where that is far more than stated; empty otherwise.
+        Warning if repeats differ by far more than the stated noise; empty otherwise.
     """
 
     points_mm: FloatArray
@@ -74,11 +75,11 @@ class Observed:
 
     @property
     def measured(self) -> BoolArray:
-        """Return which components are compared, shape (k, 3)."""
+        """Mask of the compared components, shape (k, 3)."""
         return np.all(np.isfinite(self.moved_mm), axis=0)
 
     def boundary_of(self, state: int, spec: SpecimenSpec) -> dict[str, DisplacementField]:
-        """Return how each region moves that moves as was measured, in one of the states."""
+        """Return the displacement fields of regions that move as measured, in one state."""
         found = {}
         for name in spec.measured_regions:
             inside = region_of(spec.regions[name]).contains(self.boundary_mm)
@@ -95,18 +96,18 @@ class _Noisy(Protocol):
 
 
 def observed(spec: SpecimenSpec, folder: Path) -> Observed:
-    """Read what the states of an experiment show.
+    """Read the recordings of an experiment.
 
     Parameters
     ----------
     spec : SpecimenSpec
     folder : Path
-        To which the names of its files are relative.
+        Folder to which the names of its files are relative.
 
     Raises
     ------
     InputError
-        If a file is missing or lacks a column, or states show different points.
+        If a file is missing or lacks a column, or the points of the states differ.
     """
     if spec.markers is not None:
         return _of_markers(spec, spec.markers, folder)
@@ -143,10 +144,10 @@ def _of_field(spec: SpecimenSpec, field: FieldSpec, folder: Path) -> Observed:
     inside = _on_boundary(spec, tables)
     compared = ~inside & measured.any(axis=1)
     if not compared.any():
-        raise InputError("All points of the field prescribe what moves; none is left to compare.")
+        raise InputError("All points of the field prescribe motion; none is left to compare.")
     own = [np.where(measured, r, np.nan)[:, compared] for r in tables.repeats_mm]
     names = tuple(str(n) for n in np.flatnonzero(compared))
-    # What is not measured at a point that prescribes is not prescribed along that axis either.
+    # A component that was not measured at a point of the boundary is not prescribed either.
     boundary = [np.nan_to_num(r[:, inside].mean(axis=0)) for r in tables.repeats_mm]
     found = replace(
         _observed(points[compared], names, own, field, 0.0),
@@ -158,7 +159,7 @@ def _of_field(spec: SpecimenSpec, field: FieldSpec, folder: Path) -> Observed:
 
 
 def _on_boundary(spec: SpecimenSpec, tables: FieldTables) -> BoolArray:
-    """Return which points of a field prescribe how a region moves, shape (k,)."""
+    """Return a mask of the points of a field that prescribe the motion of a region, shape (k,)."""
     points = tables.points_mm
     inside = np.zeros(len(points), np.bool_)
     for name in spec.measured_regions:
@@ -175,8 +176,8 @@ def _on_boundary(spec: SpecimenSpec, tables: FieldTables) -> BoolArray:
         if here.sum() < FEWEST:
             raise InputError(
                 f"The region {name} moves as was measured, but {int(here.sum())} points of the "
-                f"field with a displacement are in it; at least {FEWEST} are needed. Give it as a "
-                "box that holds a layer of points."
+                f"field with a displacement are in it; at least {FEWEST} are needed. Define it as "
+                "a box that contains a layer of points."
             )
         if len(np.unique(points[here], axis=0)) < here.sum():
             raise InputError(
@@ -188,7 +189,7 @@ def _on_boundary(spec: SpecimenSpec, tables: FieldTables) -> BoolArray:
 
 
 def _measured_axes(spec: SpecimenSpec, region: str) -> list[int]:
-    """Return the axes along which a region moves as was measured, in some state."""
+    """Return the axes along which a region moves as measured in any state."""
     moves = [m for state in spec.states for m in state.moves if m.region == region and m.measured]
     return [a for a in range(3) if any(held_axes(m.axes)[a] for m in moves)]
 
@@ -198,7 +199,7 @@ def _triples(rows: FloatArray) -> tuple[Triple, ...]:
 
 
 def _displacements(recording: Recording, markers: MarkersSpec) -> FloatArray:
-    """Return those of each marker in the frame of the body, shape (k, 3)."""
+    """Return the displacement of each marker in the frame of the body, shape (k, 3)."""
     moved = np.array(
         [
             recording.mean(name, markers.loaded_s) - recording.mean(name, markers.rest_s)
@@ -219,9 +220,9 @@ def _misfit(recording: Recording, markers: MarkersSpec) -> float:
     worst = int(off.argmax())
     if off[worst] > FARTHEST_MM:
         raise InputError(
-            f"The marker {list(markers.frame.at_rest_mm)[worst]} lies {off[worst]:.1f} mm off its "
-            "place at rest after the best rigid motion. Check markers.frame.at_rest_mm and "
-            "markers.mm_per_unit: places may be mixed up, or in another unit."
+            f"The marker {list(markers.frame.at_rest_mm)[worst]} is {off[worst]:.1f} mm off its "
+            "position at rest after the best rigid motion. Check markers.frame.at_rest_mm and "
+            "markers.mm_per_unit: markers may be mixed up, or in another unit."
         )
     return float(np.sqrt((off**2).mean()))
 
@@ -242,7 +243,7 @@ def _observed(
     misfit: float,
 ) -> Observed:
     if len({r.shape[1] for r in repeats}) > 1:
-        raise InputError("All states must show the same points.")
+        raise InputError("All states must have the same points.")
     measured = np.isfinite(repeats[0][0])
     several = [_complete(r) for r in repeats if len(r) > 1]
     typical = _pooled([scatter_of(r) for r in several]) if several else Scatter(0.0, 0.0)
@@ -268,14 +269,14 @@ def _observed(
 
 
 def _complete(repeats: FloatArray) -> FloatArray:
-    """Return repeats of the points and axes of which all is measured, shape (r, k, axes)."""
+    """Return the repeats at completely measured points and axes, shape (r, k, axes)."""
     axes = np.isfinite(repeats).all(axis=0).any(axis=0)
     found = repeats[..., axes]
     points = np.isfinite(found).all(axis=(0, 2))
     if not points.any():
         raise InputError(
-            "No point of the field is complete in all repeats of a state, so nothing tells their "
-            "noise. Leave out the repeat that lacks most."
+            "No point of the field is complete in all repeats of a state, so their noise cannot "
+            "be estimated. Leave out the repeat with the most gaps."
         )
     return np.asarray(found[:, points])
 
@@ -283,7 +284,7 @@ def _complete(repeats: FloatArray) -> FloatArray:
 def _with_scatter(
     found: Observed, spec: SpecimenSpec, repeats: list[FloatArray], stated: _Noisy
 ) -> Observed:
-    """Add how far repeats differ, where that is far more than stated."""
+    """Add a warning if repeats differ by far more than the stated noise."""
     expected = float(np.hypot(stated.sd_mm, stated.common_sd_mm or 0.0))
     for state, moved in zip(spec.states, repeats, strict=True):
         if len(moved) < 2:

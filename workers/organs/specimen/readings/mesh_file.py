@@ -1,8 +1,7 @@
-"""Mesh files as tetrahedra or triangles, or a refusal of what is not read.
+"""Reader of mesh files as tetrahedra or triangles, which refuses unsupported content.
 
-Hexahedra, wedges, pyramids and pixels are split; of cells with nodes on their edges the
-corners count. Where a file holds volume cells, they are the body, and surfaces beside
-them are left out.
+Hexahedra, wedges, pyramids and pixels are split; nodes on the edges of cells are ignored. If a
+file contains volume cells, they are the body, and its surface cells are left out.
 """
 
 import io
@@ -23,7 +22,7 @@ from palpate.workers.organs.specimen.readings.stated_counts import check_counts
 
 Indices = NDArray[np.int64]
 
-# Corners of each face of a volume cell, and the number of its corners.
+# Number of corners of each volume cell, and the corners of its faces.
 _TETRA = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
 _PYRAMID = ((0, 3, 2, 1), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4))
 _WEDGE = ((0, 2, 1), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5))
@@ -44,7 +43,7 @@ SURFACES: dict[str, tuple[tuple[int, int, int], ...]] = {
     "pixel": ((0, 1, 3), (0, 3, 2)),
 }
 NO_BODY = ("vertex", "line")
-# Cells of less than this part of the mean volume are flat.
+# Cells below this fraction of the mean volume are flat.
 FLAT = 1e-12
 FARTHEST_MM = 1e6
 SUFFIXES = (
@@ -54,18 +53,18 @@ SUFFIXES = (
 
 @dataclass(frozen=True, eq=False)
 class MeshFile:
-    """A body as its file holds it.
+    """The body in a mesh file.
 
     Parameters
     ----------
     corners : ndarray, shape (m, 4, 3) or (m, 3, 3)
-        Of tetrahedra, or of the triangles of a surface, in mm.
+        Corners of tetrahedra, or of the triangles of a surface, in mm.
     cell : ndarray of int, shape (m,)
-        The cell of the file that each is a part of, counted over all blocks of volume cells.
+        Cell of the file to which each belongs, counted over all blocks of volume cells.
     labels : dict of str to ndarray
         Data of these cells.
     notes : tuple of str
-        Sentences about what was left out.
+        Notes on parts of the file that were left out.
     """
 
     corners: FloatArray
@@ -75,7 +74,7 @@ class MeshFile:
 
     @property
     def is_solid(self) -> bool:
-        """Whether the file holds volume cells."""
+        """Whether the file contains volume cells."""
         return self.corners.shape[1] == 4
 
 
@@ -85,7 +84,7 @@ def read_mesh_file(path: Path, mm_per_unit: float) -> MeshFile:
     Raises
     ------
     InputError
-        If the file cannot be read, or holds cells or points that make no body.
+        If the file cannot be read, or its cells and points do not form a body.
     """
     with reading(path, "a mesh"):
         return _body(path, _read(path), mm_per_unit)
@@ -103,18 +102,18 @@ def _body(path: Path, mesh: meshio.Mesh, mm_per_unit: float) -> MeshFile:
 
 def _read(path: Path) -> meshio.Mesh:
     check_regular(path)
-    if path.suffix.lower() not in SUFFIXES:  # others are read from several files
+    if path.suffix.lower() not in SUFFIXES:  # other formats consist of several files
         raise InputError(
-            f"{path} is no mesh of a kind that is read: expected {', '.join(SUFFIXES)}."
+            f"{path} is not in a supported mesh format: expected {', '.join(SUFFIXES)}."
         )
     check_deck(path)
     check_counts(path)
     said = io.StringIO()
     try:
-        # meshio prints what went wrong, and takes the header of a text for a count.
+        # meshio prints errors, and may misread the header of a text as a count.
         with redirect_stdout(said), redirect_stderr(said), np.errstate(all="ignore"):
             return meshio.read(path)
-    except (Exception, SystemExit) as error:  # of damaged files it raises nearly anything
+    except (Exception, SystemExit) as error:  # damaged files raise almost any error
         why = " ".join(said.getvalue().split()) or str(error) or type(error).__name__
         raise InputError(f"{path} cannot be read as a mesh: {why}.") from error
 
@@ -131,13 +130,13 @@ def _check_kinds(path: Path, blocks: list[tuple[str, Indices]]) -> None:
     if unread:
         found = ", ".join(f"{count} {kind}" for kind, count in unread.items())
         raise InputError(
-            f"{path} holds cells that are not read: {found}. Read are {', '.join(VOLUMES)} and, "
-            "where there are none of these, surfaces of triangles and quadrilaterals. Convert them."
+            f"{path} has unsupported cells: {found}. Supported are {', '.join(VOLUMES)} and, in "
+            "files without these, surfaces of triangles and quadrilaterals. Convert the cells."
         )
     if not set(counts) & (set(VOLUMES) | set(SURFACES)):
         found = ", ".join(counts) or "no cells"
         raise InputError(
-            f"{path} must hold volume cells such as tetrahedra, or a surface of triangles, found "
+            f"{path} must have volume cells such as tetrahedra, or a surface of triangles, found "
             f"{found}."
         )
 
@@ -150,7 +149,7 @@ def _points(path: Path, mesh: meshio.Mesh, mm_per_unit: float) -> FloatArray:
 
 
 def _checked(path: Path, kind: str, data: Indices, points: FloatArray) -> Indices:
-    """Return the points of cells, all of which exist and are finite."""
+    """Return the points of cells, after checking that all exist and are finite."""
     bad = (data < 0) | (data >= len(points))
     if bad.any():
         cell = int(np.flatnonzero(bad.any(axis=1))[0])
@@ -161,14 +160,14 @@ def _checked(path: Path, kind: str, data: Indices, points: FloatArray) -> Indice
     lost = ~np.isfinite(points[data]).all(axis=2)
     if lost.any():
         raise InputError(
-            f"{path}: the point {data[lost][0]}, counted from 0, has coordinates that are no "
-            f"finite numbers, or further than {FARTHEST_MM:g} mm from 0. Export it again."
+            f"{path}: the point {data[lost][0]}, counted from 0, has coordinates that are not "
+            f"finite or farther than {FARTHEST_MM:g} mm from 0. Export it again."
         )
     return data
 
 
 def _solid(path: Path, mesh: meshio.Mesh, points: FloatArray, blocks: list[int]) -> MeshFile:
-    """Return volume cells as tetrahedra, without flat ones."""
+    """Return the volume cells as tetrahedra, without flat ones."""
     corners, cells, first = [], [], 0
     for block in (mesh.cells[n] for n in blocks):
         count, faces = VOLUMES[block.type]
@@ -181,7 +180,7 @@ def _solid(path: Path, mesh: meshio.Mesh, points: FloatArray, blocks: list[int])
     size = np.abs(np.linalg.det(every[:, 1:] - every[:, :1])) / 6
     whole = np.bincount(cell, size, first)
     if not whole.sum() > 0:
-        raise InputError(f"{path} holds {first} volume cells, all of them flat.")
+        raise InputError(f"{path} has {first} volume cells, all of them flat.")
     flat = whole < FLAT * whole.mean()
     kept = ~flat[cell] & (size > 0)
     labels = {
@@ -201,10 +200,10 @@ def _all(data: Indices) -> Indices:
 def _split(
     points: FloatArray, data: Indices, faces: tuple[tuple[int, ...], ...]
 ) -> tuple[FloatArray, Indices]:
-    """Return tetrahedra between the middle of each cell and its faces, and their cells.
+    """Return tetrahedra between the centre of each cell and its faces, and their cells.
 
-    A face of four corners is cut through its lowest point, as its neighbour cuts it, so cells
-    with warped faces leave no gap.
+    A face with four corners is cut through its lowest-numbered corner, as in the neighbouring
+    cell, so that cells with warped faces leave no gap.
     """
     middle = points[data].mean(axis=1)
     triangles = []
@@ -222,7 +221,7 @@ def _split(
 
 
 def _notes(path: Path, mesh: meshio.Mesh, flat: BoolArray) -> list[str]:
-    """Return sentences about cells that are no part of the body."""
+    """Return notes on cells that are not part of the body."""
     notes = []
     if flat.any():
         notes.append(
@@ -230,7 +229,7 @@ def _notes(path: Path, mesh: meshio.Mesh, flat: BoolArray) -> list[str]:
         )
     beside = sum(len(block.data) for block in mesh.cells if block.type in SURFACES)
     if beside:
-        notes.append(f"{beside} surface cells of {path.name} are no part of the body.")
+        notes.append(f"{beside} surface cells of {path.name} are not part of the body.")
     return notes
 
 
@@ -248,15 +247,15 @@ def _surface(path: Path, points: FloatArray, blocks: list[tuple[str, Indices]]) 
         raise InputError(f"{path} is flat: all its facets are in one plane. Export it again.")
     kept = _once(index.reshape(-1, 3))
     twice = len(triangles) - len(kept)
-    notes = (f"{twice} facets of {path.name} are there twice and counted once.",) if twice else ()
+    notes = (f"{twice} facets of {path.name} are duplicates and counted once.",) if twice else ()
     return MeshFile(used[kept], _all(kept), {}, notes)
 
 
 def _once(triangles: Indices) -> Indices:
     """Return facets without repetitions.
 
-    Two facets that face each other are the walls of two bodies that touch and both remain,
-    unless every facet has such a partner.
+    Two opposite facets are the walls of two touching bodies, and both are kept, unless every
+    facet has such a partner.
     """
     start = triangles.argmin(axis=1)[:, None]
     turned = np.take_along_axis(triangles, (start + np.arange(3)) % 3, axis=1)

@@ -1,4 +1,4 @@
-"""Keys of an experiment that say how its recordings are read."""
+"""Keys for the recordings of an experiment."""
 
 from typing import Annotated, Self
 
@@ -11,15 +11,14 @@ FinitePoint = tuple[Finite, Finite, Finite]
 
 
 class MarkerSpec(Door):
-    """Where a marker is believed to sit on the surface of the body.
+    """Stated position of a marker on the surface of the body.
 
-    ``outward`` is the normal of the surface there; without it that of the nearest face
-    counts.
+    ``outward`` is the normal of the surface there; the default is the normal of the nearest face.
 
     Parameters
     ----------
     outward
-        Normal of the surface at the marker. Default: that of the nearest face.
+        Normal of the surface at the marker. Default: the normal of the nearest face.
     """
 
     at_mm: FinitePoint = Field(description="[x, y, z] in mm on the surface of the body at rest")
@@ -33,10 +32,9 @@ class MarkerSpec(Door):
 
 
 class FrameSpec(Door):
-    """How the frame of the cameras lies to that of the body.
+    """Position of the cameras relative to the body, from markers at rest.
 
-    Places in the frame of the body that markers have at rest, the base included; a rigid
-    motion is fitted to them.
+    A rigid motion is fitted to the positions of the markers, including those of the base.
 
     Parameters
     ----------
@@ -51,13 +49,13 @@ Window = tuple[Finite, Finite]
 
 
 class MarkersSpec(Door):
-    """Recordings of markers: a table a file, a row a moment.
+    """Recordings of markers: a table per file, a row per time.
 
-    ``column`` names the columns, with the marker and the axis in it. A marker's
-    displacement is its mean place in ``loaded_s`` less its mean place in ``rest_s``. Times below
-    zero count from the end of the recording. An empty cell, nan, and whatever a tracker writes for
-    a marker that it has lost, is a missing value. ``noise_confirmed: true`` accepts repeats that
-    scatter by far more than ``sd_mm``.
+    ``column`` is the pattern of column names, with the marker and the axis. The displacement of
+    a marker is its mean position in ``loaded_s`` minus its mean position in ``rest_s``. Negative
+    times count from the end of the recording. Empty cells, nan and the placeholders of trackers
+    for a lost marker are missing values. ``noise_confirmed: true`` accepts repeats that scatter
+    by far more than ``sd_mm``.
 
     Parameters
     ----------
@@ -81,13 +79,13 @@ class MarkersSpec(Door):
     column: str = "{marker}_{axis}_mm"
     mm_per_unit: Positive = 1.0
     rest_s: Window = Field(
-        description="[from, to] in s when nothing had moved yet; below zero from the end"
+        description="[from, to] in s before any motion; negative times count from the end"
     )
     loaded_s: Window = Field(
-        description="[from, to] in s when nothing moved any more; below zero from the end"
+        description="[from, to] in s after all motion; negative times count from the end"
     )
     markers: Annotated[dict[str, MarkerSpec], Field(min_length=1)] = Field(
-        description="the markers by the names in the recordings"
+        description="the markers, by their names in the recordings"
     )
     frame: FrameSpec | None = None
     sd_mm: Positive = 0.1
@@ -101,23 +99,23 @@ class MarkersSpec(Door):
         rest = self.column.replace("{marker}", "").replace("{axis}", "")
         if "{" in rest or "}" in rest:
             raise ValueError(
-                f"column may hold no braces but those of {{marker}} and {{axis}}, found "
+                f"column may have no braces except in {{marker}} and {{axis}}, found "
                 f"{self.column[:60]!r}"
             )
         return self
 
 
 class FieldSpec(Door):
-    """Displacements of landmarks, nodes or image correlation: a table a file, a row a point.
+    """Displacements of landmarks, nodes or image correlation: a table per file, a row per point.
 
-    The columns ``x_mm``, ``y_mm`` and ``z_mm`` place the points on the body at rest, in its
-    frame; ``ux_mm``, ``uy_mm`` and ``uz_mm`` are their displacements, of which one or two
-    columns may be absent and single cells empty or nan: what was not measured is not compared.
-    All recordings list the same points in the same order.
+    The columns ``x_mm``, ``y_mm`` and ``z_mm`` are the positions of the points at rest in the
+    frame of the body; ``ux_mm``, ``uy_mm`` and ``uz_mm`` are their displacements. One or two
+    displacement columns may be absent, and single cells empty or nan: missing components are not
+    compared. All recordings must list the same points in the same order.
 
     ``sd_mm`` is the standard deviation of one component of one point, ``common_sd_mm`` of an
     error that all points of a recording share, such as a motion of the camera.
-    ``noise_confirmed: true`` accepts repeats that scatter by far more than that.
+    ``noise_confirmed: true`` accepts repeats that scatter by far more.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Counts in the headers of mesh files, compared with the size of the file before it is read."""
+"""Checks of counts in the headers of mesh files against the file size, before reading."""
 
 import re
 import struct
@@ -18,14 +18,14 @@ _KEYWORDS = re.compile(
 
 
 def check_counts(path: Path) -> None:
-    """Raise InputError if a mesh file states more points or cells than its bytes can hold."""
-    if not path.is_file():  # what is missing is explained by the reader
+    """Raise InputError if a mesh file states more points or cells than fit in its size."""
+    if not path.is_file():  # the reader reports missing files
         return
     size = path.stat().st_size
     if size > LARGEST_BYTES:
         raise InputError(
-            f"{path} has {size / MIB:.0f} MiB; meshes of up to {LARGEST_BYTES // MIB} MiB are read "
-            "here. Simplify it first."
+            f"{path} has {size / MIB:.0f} MiB; the limit for meshes is {LARGEST_BYTES // MIB} MiB. "
+            "Simplify it first."
         )
     content = path.read_bytes()
     if path.suffix.lower() == ".stl":
@@ -33,7 +33,7 @@ def check_counts(path: Path) -> None:
         return
     for match in _KEYWORDS.finditer(content):
         for digits in match[1].split():
-            # A count, or the number of a node or a group: none is larger than the file.
+            # A count, or the number of a node or a group, which cannot exceed the size of the file.
             if len(digits) > 15 or abs(int(digits)) > max(size, 2**31):
                 raise InputError(
                     f"{path} states {digits[:20].decode()} in a file of {size} bytes. It is "
@@ -47,11 +47,11 @@ def check_counts(path: Path) -> None:
 
 
 def _check_stl(path: Path, content: bytes) -> None:
-    """Check the number of facets of a binary file; a text has as many as it lists."""
+    """Check the number of facets of a binary STL file; a text file states none."""
     if content[:5].lower() == b"solid" and b"facet" in content[:1024].lower():
         return
     if len(content) < _STL_HEADER:
-        raise InputError(f"{path} is no STL file: it has {len(content)} bytes. Export it again.")
+        raise InputError(f"{path} is not an STL file: it has {len(content)} bytes. Export again.")
     (facets,) = struct.unpack_from("<I", content, 80)
     if _STL_HEADER + _STL_FACET * facets > len(content):
         raise InputError(

@@ -1,1 +1,1 @@
-"""Thin sheets as bodies of an experiment."""
+"""Thin sheets as bodies of experiments."""

@@ -1,4 +1,4 @@
-"""A sheet as the body of an experiment."""
+"""Bodies of experiments on thin sheets."""
 
 from collections.abc import Iterator, Sequence
 
@@ -44,7 +44,7 @@ class SheetBody(Body):
 
     @property
     def wall_mm(self) -> float:
-        """No place: a sheet stands on no wall."""
+        """Always nan: a sheet has no wall."""
         return float("nan")
 
     def model(self, nodes: int) -> SheetModel:
@@ -68,7 +68,7 @@ class SheetBody(Body):
         return np.concatenate([model.border[:, [0, 2]], model.border[:, [2, 1]]])
 
     def _borders(self) -> Iterator[FloatArray]:
-        """Yield the sides of all places, as far as they are near the sheet."""
+        """Yield the sides of all box regions, clipped to the surroundings of the sheet."""
         low, high = self.box_mm
         beyond = float(np.linalg.norm(high - low))
         for region in self.spec.regions.values():

@@ -1,4 +1,4 @@
-"""A sheet as what a diagnosis solves; load cells are nodes beyond those of the mesh."""
+"""Forward model of a sheet, with load cells as extra nodes after the mesh."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,14 +15,14 @@ from palpate.workers.organs.specimen.load_cells import LoadCell
 
 @dataclass(frozen=True, eq=False)
 class SheetWithCells:
-    """An equilibrium whose solution has one more node for each load cell.
+    """An equilibrium whose solution has an extra node for each load cell.
 
     Parameters
     ----------
     at : SheetEquilibrium
     solution : SheetSolution
     expected_mm : ndarray, shape (n, 3)
-        Where a similar problem is expected to move the nodes.
+        Expected displacements of the nodes in a similar problem.
     """
 
     at: SheetEquilibrium
@@ -36,7 +36,7 @@ class SheetWithCells:
 
 
 class SheetForward:
-    """See `workers.diagnosis.problem.forward.Forward`.
+    """Forward model of a sheet; see `workers.diagnosis.problem.forward.Forward`.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class SheetForward:
         return np.concatenate([moved, self._read(at.at, forces)], axis=1)
 
     def loosened(self, problem: Problem, tolerance_mm: float, friction_steps: int) -> Problem:
-        """Return the problem itself: it is cheap."""
+        """Return the problem unchanged, because it is cheap to solve."""
         return problem
 
     def direction(self, problem: Problem) -> Sequence[float]:
@@ -75,10 +75,10 @@ class SheetForward:
         return axis
 
     def pressed(self, at: SheetWithCells) -> None:
-        """Return nothing: there are no plates."""
+        """Return None: there are no plates."""
 
     def _read(self, at: SheetEquilibrium, forces: FloatArray) -> FloatArray:
-        """Return what the cells read of forces on the nodes, (b, n, 3): (b, c, 3), in mm."""
+        """Return readings of the cells in mm, (b, c, 3), from forces on the nodes, (b, n, 3)."""
         found, model = np.zeros((len(forces), len(self.cells), 3)), at.system.model
         for number, cell in enumerate(self.cells):
             inside = nodes_in(cell.region, model.nodes, model.edge_mm)

@@ -91,7 +91,7 @@ COMMANDS = {
     "serve": LazyCommand("machines.serve:serve", "Serve studies and diagnoses over HTTP."),
     "cluster": LazyCommand(
         "machines.cluster:cluster",
-        "Start a scheduler here and workers as jobs of SLURM, PBS, LSF or SGE.",
+        "Start workers as jobs of SLURM, PBS, LSF or SGE.",
     ),
     "certs": LazyCommand("machines.certs:certs", "Create TLS certificates for a Dask cluster."),
     "thesis": LazyCommand(

@@ -67,7 +67,7 @@ def cluster(
         bool, typer.Option("--yes", help="Submit without asking for confirmation.")
     ] = False,
 ) -> None:
-    """Start a scheduler here and workers as jobs of SLURM, PBS, LSF or SGE.
+    """Start workers as jobs of SLURM, PBS, LSF or SGE.
 
     The job script is shown before it is submitted. Press Ctrl-C to cancel the jobs.
     """

@@ -50,7 +50,7 @@ def test_only_regular_files_of_a_limited_size_are_read(tmp_path: Path) -> None:
             check_regular(path)
     (tmp_path / "text").write_bytes("\ufeffa\r\nb".encode())
     assert read_text(tmp_path / "text") == "a\nb"
-    with pytest.raises(InputError, match="the most that is read"):
+    with pytest.raises(InputError, match="the limit for such a file"):
         read_bytes(tmp_path / "text", 3)
     with pytest.raises(IsADirectoryError):
         read_bytes(tmp_path, 3)

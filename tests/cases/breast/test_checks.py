@@ -296,8 +296,8 @@ def test_plates_that_start_off_the_body_are_named(here: Path) -> None:
     text = DIAGNOSIS + "plates: {lower_mm: -62.5, upper_mm: 62.5}\n"
     (here / "case.yaml").write_text(text)
     result = palpate("diagnose", "case.yaml")
-    assert "your lower plate starts 12.5 mm off the body (-62.5 mm" in said(result)
-    assert "your upper plate starts 12.5 mm off the body (62.5 mm" in said(result)
+    assert "the lower plate starts 12.5 mm off the body (-62.5 mm" in said(result)
+    assert "the upper plate starts 12.5 mm off the body (62.5 mm" in said(result)
 
 
 def test_omitted_plates_start_at_the_body(here: Path) -> None:

@@ -1,4 +1,4 @@
-"""Labels are tissues by their names; numbers are never taken for Palpate's own against names."""
+"""Conversion of labels to tissues: by name, and by Palpate's numbers only without names."""
 
 import json
 from collections.abc import Callable
@@ -66,7 +66,7 @@ def slicer(folder: Path, **changes: Any) -> Path:
 
 
 def xml_names(path: Path, names: dict[int, str]) -> Path:
-    """Write NIfTI with names as TotalSegmentator writes them."""
+    """Write a NIfTI file with label names in the format of TotalSegmentator."""
     labels = "".join(
         f'<Label Key="{k}" Red="1"><![CDATA[{n}]]></Label>\n' for k, n in names.items()
     )
@@ -304,7 +304,7 @@ class TestCases:
 
     def test_ligament_must_be_stated(self, tmp_path: Path) -> None:
         slicer(tmp_path)
-        with pytest.raises(InputError, match="has ligament, and a diagnosis knows air, fat and"):
+        with pytest.raises(InputError, match="has ligament, but a diagnosis has only air, fat"):
             self.images(tmp_path)("a.seg.nrrd")
         found = self.images(tmp_path, labels={"Ligament": "fat"})("a.seg.nrrd").values
         np.testing.assert_array_equal(found, np.array([0, 1, 1, 2, 1], np.uint8)[breast()])
@@ -324,9 +324,9 @@ class TestCases:
 
         found = self.images(tmp_path, volumes_of(tmp_path / "store"))("rest")
         np.testing.assert_array_equal(found.values, np.array([0, 1, 2, 1], np.uint8)[volume.values])
-        with pytest.raises(InputError, match="names other, which is not in the folder, nor a"):
+        with pytest.raises(InputError, match="names other, which is not in the folder and not"):
             self.images(tmp_path, volumes_of(tmp_path / "store"))("other")
-        with pytest.raises(InputError, match="has its spacing and axes"):
+        with pytest.raises(InputError, match="spacing and axes are known"):
             self.images(tmp_path, volumes_of(tmp_path / "store"), axes="L S A")("rest")
 
 

@@ -62,7 +62,7 @@ def test_plates_at_a_distance_give_the_stiffness_ratio(both_ways: Path, tmp_path
     [
         ({"force_n": 8, "plate_distance_mm": 40}, "exactly one of force_n and plate_distance_mm"),
         ({}, "exactly one of force_n and plate_distance_mm"),
-        ({"force_n": 8, "axis": [0, 0, 1]}, "across z"),
+        ({"force_n": 8, "axis": [0, 0, 1]}, "perpendicular to z"),
     ],
 )
 def test_rejects_invalid_loads(load: dict[str, object], complaint: str, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What may be stated of a breast: the case, the target and the score of a study."""
+"""Keys of a study of a breast: its case, target and score."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -39,7 +39,7 @@ from palpate.workers.units import FORCE_UNITS, KPA
 
 
 def _three(given: Any) -> Any:
-    """Let one number stand for three."""
+    """Repeat a single number along all three axes."""
     return (given, given, given) if isinstance(given, int | float) else given
 
 
@@ -60,7 +60,7 @@ TissueName = Annotated[
 
 
 def _known_constants(given: Mapping[str, float]) -> None:
-    """Refuse unknown names and values; whether a shape constant's law is chosen the case knows."""
+    """Refuse unknown names and values; the case checks that the law of a shape constant is used."""
     BREAST_MODEL.extended_by(shape_constants(given)).from_door(given)
 
 
@@ -68,11 +68,11 @@ DoorConstants = Annotated[dict[str, float], checked(_known_constants)]
 
 
 Labels = Annotated[dict[int | str, str] | str | None, BeforeValidator(label_map)]
-"""Tissues by number or name of a label, or a file that names labels."""
+"""Tissues by label number or name, or a file that names the labels."""
 
 
 class PhantomSpec(Door):
-    """A generated breast: a preset, some of its settings changed, and a seed.
+    """A generated breast: a preset with changed settings, and a seed.
 
     The settings are those of `workers.body.phantom.settings.BreastPhantom`.
 
@@ -85,7 +85,7 @@ class PhantomSpec(Door):
     spacing_mm
         Size of a voxel, in mm.
     glandular_fraction
-        Share of glandular tissue in the volume inside the skin, 0.07 to 0.35.
+        Glandular share of the volume inside the skin, 0.07 to 0.35.
     lower_mm
         Extent below the nipple, along x, in mm.
     upper_mm
@@ -124,24 +124,24 @@ class PhantomSpec(Door):
 
     @property
     def settings(self) -> BreastPhantom:
-        """What the generator is asked."""
+        """Settings of the generator."""
         changes = self.model_dump(exclude={"preset", "seed"}, exclude_none=True)
         return BreastPhantom.preset(self.preset, **changes)
 
 
 class ImageSpec(Door):
-    """The keys that say how an image is read; see `workers.body.images.read.read_volume`.
+    """Keys for reading an image; see `workers.body.images.read.read_volume`.
 
     Parameters
     ----------
     labels
-        What each label of the image is: ``{1: fat, 2: glandular}``, by number or by segment name;
-        or a file of label names. Default: the names in the image.
+        Tissue of each label: ``{1: fat, 2: glandular}``, by number or by segment name; or a file
+        of label names. Default: the names in the image.
     spacing_mm
         Size of a voxel along x, y and z, in mm, for formats that do not state it.
     axes
-        How the image is turned into the frame of the body: ``-x,y,-z``, or anatomical directions
-        such as ``L S A``. Default: as it is.
+        Axes of the image in the frame of the body: ``-x,y,-z``, or anatomical directions such as
+        ``L S A``. Default: the same axes.
     """
 
     volume: str | None = Field(
@@ -155,13 +155,13 @@ class ImageSpec(Door):
         given = [k for k in ("labels", "spacing_mm", "axes") if getattr(self, k) is not None]
         if given:
             raise ValueError(
-                f"{', '.join(given)} say how an image is read, but {instead} is given: "
-                "take them out, or give a volume"
+                f"{', '.join(given)} can only be used with an image, but {instead} is given: "
+                "remove them, or give a volume"
             )
 
 
 class ReferenceSpec(ImageSpec):
-    """The undeformed body: a phantom, or an image file, folder or volume of the store."""
+    """The undeformed body: a phantom, an image file or folder, or a stored volume."""
 
     exactly_one: ClassVar[Pairs] = (("phantom", "volume"),)
 
@@ -175,7 +175,7 @@ class ReferenceSpec(ImageSpec):
 
 
 class MeshSpec(Door):
-    """How fine the tetrahedra are: about so many nodes, or of this size.
+    """Resolution of the mesh: the number of nodes, or the size of the elements.
 
     Parameters
     ----------
@@ -192,21 +192,21 @@ class MeshSpec(Door):
 
 
 class ModelSpec(Door):
-    """What the model of the tissue contains.
+    """Model of the tissue.
 
     Parameters
     ----------
     skin
-        ``none`` (skin is fat), ``membrane`` (without bending stiffness) or ``layer`` (elements;
-        needs a fine mesh).
+        ``none`` (skin counts as fat), ``membrane`` (without bending stiffness) or ``layer`` (solid
+        elements; needs a fine mesh).
     skin_thickness_mm
         Thickness of the skin, in mm.
     fibres
-        ``tension-only``, or ``literal``: the published formula, in compression too.
+        ``tension-only``, or ``literal``: the published formula, also in compression.
     fibre_invariant
-        ``I4``, or ``isochoric``: the stretch without the change of volume.
+        ``I4``, or ``isochoric``: the stretch without the volume change.
     law : str or mapping
-        The law of the tissue without its fibres, such as yeoh: one for all, or
+        Law of the tissue without its fibres, such as yeoh: one for all tissues, or
         {fat: yeoh, glandular: neo-hookean}. Its shape constants, such as yeoh_c2_fat, can be held
         or searched; `palpate parameters --law yeoh` lists them.
     """
@@ -219,20 +219,20 @@ class ModelSpec(Door):
 
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what older studies do not have, or their digests would change."""
+        """Omit keys that older studies do not have, to keep their digests."""
         values: dict[str, Any] = handler(self)
         return {k: v for k, v in values.items() if k != "law" or not self.law.is_default}
 
 
 class PlateDistanceSpec(Door):
-    """Where the plates end: at a distance, or at two positions along y.
+    """Final distance of the plates, or their final positions along y.
 
     Parameters
     ----------
     initial
-        Distance of the plates before compression, in mm, if known.
+        Distance between the plates before compression, in mm, if known.
     final
-        Distance of the plates under compression, in mm.
+        Distance between the plates under compression, in mm.
     lower
         Final position of the lower plate along y, in mm.
     upper
@@ -255,12 +255,12 @@ class PlateDistanceSpec(Door):
                 "{lower: 10, upper: 75}"
             )
         _ascending(self, "final", "initial", "the plates must come closer")
-        _ascending(self, "lower", "upper", "the upper plate lies at the higher y")
+        _ascending(self, "lower", "upper", "the upper plate is at the higher y")
         return self
 
 
 def _final(given: Any) -> Any:
-    """Let a number stand for the final distance."""
+    """Convert a single number to the final distance."""
     number = isinstance(given, int | float) and not isinstance(given, bool)
     return {"final": given} if number else given
 
@@ -272,18 +272,15 @@ PlateDistance = Annotated[
 
 
 class LoadSpec(Door):
-    """What presses: a force on the plates, or where they end.
-
-    ``oblique_deg`` turns the direction of compression about z, from y towards -x: 0 is
-    cranio-caudal, 45 mediolateral oblique.
+    """Compression: a force on the plates, or their final distance.
 
     Parameters
     ----------
     oblique_deg
-        Direction of compression, turned about z from y towards -x, in degrees: 0 is cranio-caudal,
+        Angle of the compression about z, from y towards -x, in degrees: 0 is cranio-caudal,
         45 mediolateral oblique.
     moving
-        Whether the upper plate moves, or both.
+        The plates that move: the upper one, or both.
     """
 
     exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
@@ -299,7 +296,7 @@ class LoadSpec(Door):
 
     @property
     def text(self) -> str:
-        """Return what presses, for a reader."""
+        """Return a description of the compression."""
         turned = f", turned by {self.oblique_deg:g} degrees" if self.oblique_deg else ""
         if self.force_n is not None:
             return f"{self.force_n:g} N, from where the body at rest ends{turned}"
@@ -320,11 +317,11 @@ class BreastCase(CaseSpec):
     organ
         Name of the organ.
     mesh
-        How fine the mesh is. Default: 20,000 nodes.
+        Resolution of the mesh. Default: 20,000 nodes.
     model
-        The law of the tissue, and the skin.
+        Law of the tissue, and the skin.
     load
-        What presses. Default: a force of 100 N; a study of images has to state it.
+        Compression. Default: a force of 100 N; a study of images must state it.
     """
 
     law_tissues: ClassVar[tuple[str, ...]] = LAW_TISSUES
@@ -397,8 +394,8 @@ class BreastCase(CaseSpec):
     def identifiable(self, searched: Collection[str]) -> Identifiable:
         """See `CaseSpec.identifiable`.
 
-        Plates that stand at a distance deform a body alike when all its stiffnesses and all
-        forces on it are doubled, so without a force one of these has to be held.
+        If the distance of the plates is prescribed, multiplying all stiffnesses and all forces by
+        the same factor changes no deformation, so one of them has to be held.
         """
         if self.load.force_n is not None:
             return "absolute"
@@ -411,7 +408,7 @@ class BreastCase(CaseSpec):
         return "ratio"
 
     def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
-        """See `CaseSpec.common_scale`: with plates at a distance nothing fixes the forces."""
+        """See `CaseSpec.common_scale`: a prescribed distance leaves the forces undetermined."""
         vocabulary = self.vocabulary
         scaled = [n for n in searched if vocabulary[n].unit in FORCE_UNITS]
         stiffnesses = all(vocabulary[n].unit == KPA for n in scaled)
@@ -429,7 +426,7 @@ class BreastCase(CaseSpec):
 
 
 class BreastTarget(ImageSpec, TargetSpec):
-    """The deformed body to be explained: simulated with hidden constants, or an image.
+    """The deformed body to match: simulated with hidden constants, or an image.
 
     With ``align: rigid`` an image is first moved into the frame of the reference; see
     `workers.organs.breast.plausibility.rigid_motion`.
@@ -437,9 +434,10 @@ class BreastTarget(ImageSpec, TargetSpec):
     Parameters
     ----------
     mesh
-        A mesh of its own for a simulated target, such as a finer one.
+        Mesh of a simulated target, such as a finer one. Default: the mesh of the case.
     align
-        ``rigid``: an image is first moved into the frame of the reference. Default: it is there.
+        ``rigid``: an image is first moved into the frame of the reference. Default: it already is
+        in that frame.
     """
 
     exactly_one: ClassVar[Pairs] = (("constants", "volume"),)
@@ -455,9 +453,9 @@ class BreastTarget(ImageSpec, TargetSpec):
         if self.constants is not None:
             self._refuse_image_keys("constants")
             if self.align is not None:
-                raise ValueError("align is for an image, but constants are given: take it out")
+                raise ValueError("align is for an image, but constants are given: remove it")
         elif self.mesh is not None:
-            raise ValueError("a mesh is for a simulated target, but a volume is given: take it out")
+            raise ValueError("a mesh is for a simulated target, but a volume is given: remove it")
         return self
 
     @property
@@ -467,15 +465,15 @@ class BreastTarget(ImageSpec, TargetSpec):
 
 
 class BreastScore(ScoreSpec):
-    """Which tissues are compared, and which of their voxels measure the distance.
+    """Compared tissues, and the voxels between which distances are measured.
 
     Parameters
     ----------
     labels
         Tissues that are compared.
     surface
-        Where distances are measured: between the surfaces (``boundary``) or between all voxels
-        (``all``).
+        Voxels between which distances are measured: those on the surfaces (``boundary``), or all
+        of them (``all``).
     """
 
     labels: Annotated[tuple[TissueName, ...], Field(min_length=1)] = ("glandular",)
@@ -484,9 +482,9 @@ class BreastScore(ScoreSpec):
     @model_validator(mode="after")
     def _solid_and_once(self) -> Self:
         if "air" in self.labels:
-            raise ValueError("labels: air is what is left over; name tissues")
+            raise ValueError("labels: air is not a tissue; name the tissues to compare")
         if len(set(self.labels)) != len(self.labels):
-            raise ValueError(f"labels: each tissue once, found {list(self.labels)}")
+            raise ValueError(f"labels: name each tissue once, found {list(self.labels)}")
         return self
 
     @property
@@ -506,5 +504,5 @@ class BreastScore(ScoreSpec):
 
     @property
     def tissues(self) -> tuple[Tissue, ...]:
-        """The tissues that `labels` name."""
+        """The tissues named in `labels`."""
         return tuple(tissue_named(name) for name in self.labels)

@@ -81,8 +81,8 @@ def test_values_are_held_and_intervals_are_searched() -> None:
         ("constants.E_fat", 10, "did you mean 'E_fat_kpa'"),
         ("constants.E_fat_kpa", [14, 7], "lower < upper"),
         ("constants.E_fat_kpa", "10 kPa", "10 kPa"),
-        ("constants.E_fat_kpa", [0, 7], "above zero"),
-        ("constants.E_fat_kpa", True, "above zero"),
+        ("constants.E_fat_kpa", [0, 7], "a positive value"),
+        ("constants.E_fat_kpa", True, "a positive value"),
         (
             "constants",
             {"E_fat_kpa": 1, "E_glandular_kpa": 2, "eta_fat_kpa": 3, "eta_glandular_kpa": 3},
@@ -97,7 +97,7 @@ def test_values_are_held_and_intervals_are_searched() -> None:
         ("scans.loads.0.plate_distance_mm", 60, "exactly one of"),
         ("scans.loads.0.force_kn", 60, "did you mean 'force_n'"),
         ("scans.loads.1.axis", "z", "expected x, y"),
-        ("scans.loads.1.axis", [0, 0, 1], "across z"),
+        ("scans.loads.1.axis", [0, 0, 1], "perpendicular to z"),
         (
             "scans.loads.1",
             {"volume": "b", "plate_distance_mm": 60, "lower_mm": 0, "upper_mm": 9},

@@ -101,7 +101,7 @@ def test_a_case_cannot_be_changed():
         ),
         (
             {"reference": PHANTOM | {"labels": {0: "air"}}},
-            "reference: labels say how an image is read, but a phantom is given",
+            "reference: labels can only be used with an image, but a phantom is given",
         ),
         (
             {"reference": {"phantom": {"spacing_mm": 0}}},
@@ -201,7 +201,7 @@ def test_a_target_has_one_source():
     assert "a mesh is for a simulated target" in refusal(
         BreastTarget, {"volume": "a", "mesh": {"nodes": 500}}
     )
-    assert "axes say how an image is read" in refusal(
+    assert "axes can only be used with an image" in refusal(
         BreastTarget, {"constants": {}, "axes": "x,y,z"}
     )
 
@@ -213,8 +213,8 @@ def test_a_mirroring_of_the_body_is_refused():
 def test_a_score_names_tissues_once():
     score = BreastScore(labels=["Fat", "glandular"])
     assert score.tissues == (Tissue.FAT, Tissue.GLANDULAR)
-    assert "air is what is left over" in refusal(BreastScore, {"labels": ["air"]})
-    assert "each tissue once" in refusal(BreastScore, {"labels": ["fat", "Fat"]})
+    assert "air is not a tissue" in refusal(BreastScore, {"labels": ["air"]})
+    assert "name each tissue once" in refusal(BreastScore, {"labels": ["fat", "Fat"]})
     assert "at least 1 item" in refusal(BreastScore, {"labels": []})
 
 

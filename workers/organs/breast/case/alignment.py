@@ -21,7 +21,7 @@ def aligned_case(case: ScannedCase) -> ScannedCase:
 
 
 def case_load(case: ScannedCase, number: int) -> PlateLoad:
-    """Return one load of a case as the checks look at it."""
+    """Return one load of a case in the form used by the checks."""
     stated, where = case.loads[number], f"scans.loads, {case.loads[number].volume}"
     axis = unit_axis(stated.axis)
     if stated.force_n is not None:
@@ -34,7 +34,7 @@ def case_load(case: ScannedCase, number: int) -> PlateLoad:
 
 
 def _starts(case: ScannedCase, load: CaseLoad) -> tuple[str, float, float] | None:
-    """Return where the plates of a force start, as far as the file says so."""
+    """Return the initial positions of the plates of a force; None if the file gives none."""
     if stated_starts_mm(case.file, load) == (None, None):
         return None
     own = load.lower_mm is not None and load.upper_mm is not None

@@ -1,4 +1,4 @@
-"""Plausibility checks of a case: what its file and its scans say to `checks`."""
+"""Plausibility checks of a case, from its file and its scans."""
 
 from collections.abc import Iterator
 
@@ -14,9 +14,9 @@ from palpate.workers.organs.breast.plausibility.scan_facts import BreastFacts, S
 from palpate.workers.organs.study_checks import Finding, accept
 from palpate.workers.units import KPA
 
-# Jaccard of the glandular tissue in two segmentations of one scan, at least.
+# Minimum Jaccard coefficient of the glandular tissue in two segmentations of one scan.
 SAME_GLAND = 0.5
-# Swelling is among the causes that a diagnosis can find: 12 % of gland that is a third of a body.
+# Swelling is a cause that a diagnosis can find: 12 % of gland that fills a third of a body.
 SWELLING = 0.04
 
 
@@ -27,12 +27,12 @@ def check_case(case: ScannedCase, *, anyway: bool = False) -> list[Finding]:
     ----------
     case : ScannedCase
     anyway : bool
-        Accept what looks implausible.
+        Accept implausible scans.
 
     Raises
     ------
     InputError
-        With every reason.
+        If the scans are refused; lists every reason.
     """
     return accept(case_findings(case), f"The case {case.file.name}", anyway=anyway)
 
@@ -49,7 +49,7 @@ def case_findings(case: ScannedCase) -> Iterator[Finding]:
 
 
 def facts_of(case: ScannedCase) -> BreastFacts:
-    """Return what the checks look at; of a planned case only the scan at rest."""
+    """Return the facts to check; a planned case has only the scan at rest."""
     loads = [case_load(case, number) for number in range(len(case.loads))]
     scanned = case.deformed if case.is_scanned else []
     scans = [

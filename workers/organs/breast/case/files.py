@@ -1,14 +1,14 @@
-"""A case as files: what it says, the scan at rest and the scans under load.
+"""Files of a case: its settings, the scan at rest and the scans under load.
 
 ::
 
-    case.yaml           loads, nominal model, noise: all that may be known; see `case_spec`.
-                        Or case.json, the same as JSON
-    reference.nrrd      labels of the body at rest; a second segmentation of it, if there is
-                        one, measures the noise
+    case.yaml           loads, nominal model and noise; see `CaseFile`. Or case.json, the same
+                        as JSON
+    reference.nrrd      labels of the body at rest; an optional second segmentation measures
+                        the noise
     deformed_40N.nrrd   labels between the plates, one file for each load and direction
 
-The only file that opens a case; all others get what stands in it.
+Only this module opens the files of a case; all others receive their content.
 """
 
 from collections.abc import Mapping
@@ -30,10 +30,10 @@ from palpate.workers.organs.breast.case.spec import CaseFile
 from palpate.workers.organs.breast.case.table import understood
 from palpate.workers.spec import validated
 
-# Where a folder has both, the first is the case.
+# The first of these that a folder contains is the case.
 CASE_FILES = ("case.yaml", "case.json")
 YAML = (".yaml", ".yml")
-# A key of the form that earlier versions read.
+# A key of the form read by earlier versions.
 PROSE_KEY = "nominal"
 
 
@@ -43,17 +43,16 @@ def read_case(path: Path, *, loaded: bool = True, stored: StoredVolume = no_stor
     Parameters
     ----------
     path : Path
-        The file of a case, or the folder that it lies in.
+        The file of a case, or its folder.
     loaded : bool
-        False reads the scan at rest only; those under load need not exist.
+        If False, only the scan at rest is read; the loaded scans need not exist.
     stored : callable
-        From the name of a volume in the store to the volume, or None.
+        Returns the volume of a given name in the store, or None.
 
     Raises
     ------
     InputError
-        If a file is missing, or the case lacks something, says something that is not known
-        or makes no sense.
+        If a file is missing, or a key of the case is missing, unknown or invalid.
     """
     path = case_file(path)
     file = read_case_file(path)
@@ -82,7 +81,7 @@ def case_file(path: Path) -> Path:
         if (path / name).is_file():
             return path / name
     raise InputError(
-        f"{path} is no case: it has neither {' nor '.join(CASE_FILES)}. `palpate new diagnosis "
+        f"{path} is not a case: it has neither {' nor '.join(CASE_FILES)}. `palpate new diagnosis "
         "NAME` writes one."
     )
 
@@ -93,14 +92,14 @@ def read_case_file(path: Path) -> CaseFile:
     Raises
     ------
     InputError
-        If it cannot be read, or says something that is not known.
+        If it cannot be read, or has an invalid key.
     """
     data = _data(path)
     if PROSE_KEY in data:
         raise InputError(
-            f"{path} describes its physics in sentences under {PROSE_KEY!r}; that form is no "
+            f"{path} describes its physics in sentences under {PROSE_KEY!r}, a form that is no "
             "longer read. Write the same settings as keys with units in case.yaml: `palpate new "
-            "diagnosis NAME` writes one to fill in, and docs/reference/keys.md lists all keys."
+            "diagnosis NAME` writes a template, and docs/reference/keys.md lists all keys."
         )
     return validated(CaseFile, with_current_names(data, str(path)), str(path))
 
@@ -111,25 +110,25 @@ def _data(path: Path) -> Mapping[str, Any]:
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is no text: {error}.") from error
+        raise InputError(f"{path} is not a text file: {error}.") from error
     data = parse_yaml(text, str(path)) if path.suffix in YAML else parse_json(text, str(path))
     if not isinstance(data, Mapping):
-        raise InputError(f"{path} is no case: expected keys such as scans, found {text[:40]!r}.")
+        raise InputError(f"{path} is not a case: expected keys such as scans, found {text[:40]!r}.")
     return data
 
 
 def _scan(file: CaseFile, tissues: Volume) -> Volume:
     """Return a scan at rest as one body of `Tissue` labels, in air and above the chest wall.
 
-    A scan under load keeps what it shows below the place of the wall: a wall that gives way lets
-    tissue go there. Cut off, the cut would be taken for skin.
+    A loaded scan keeps the tissue below the wall: a wall that gives way lets tissue move there,
+    and a cut would be mistaken for skin.
     """
     wall_mm = file.wall.z_mm
     return _one_body(tissues if wall_mm is None else above_wall(tissues, wall_mm))
 
 
 def _one_body(tissues: Volume) -> Volume:
-    # A scan has air around the body, which need not be searched for specks and holes.
+    # Cropped first: the air around the body need not be searched for specks and holes.
     return in_air(one_body(crop_to_body(tissues, margin_voxels=0)))
 
 
@@ -139,7 +138,7 @@ class CaseReader:
     plans = True
 
     def knows(self, path: Path) -> bool:
-        """Return whether a path is a case, or a folder with one."""
+        """Return True if a path is a case, or a folder with one."""
         if path.is_dir():
             return any((path / name).is_file() for name in CASE_FILES)
         if not path.is_file() or path.suffix not in (*YAML, ".json"):
@@ -147,7 +146,7 @@ class CaseReader:
         try:
             data = _data(path)
         except InputError:
-            # Nothing else is JSON: reading it will name the mistake.
+            # Only cases are JSON: reading it reports the error.
             return path.suffix == ".json"
         return PROSE_KEY in data or data.get("organ") == "breast" or "scans" in data
 
@@ -160,7 +159,7 @@ class CaseReader:
         return PlannedCaseSource(read_case(path, loaded=False, stored=stored))
 
     def understood(self, path: Path) -> list[tuple[str, str]]:
-        """Return what the case was understood to say."""
+        """Return names and texts of the assumptions of a diagnosis."""
         file = case_file(path)
         return [("read from", str(file)), *understood(read_case_file(file))]
 

@@ -15,7 +15,7 @@ StoredVolume = Callable[[str], Volume | None]
 """Returns a volume of the store by its name."""
 USUAL = {0: "air", 1: "fat", 2: "glandular"}
 NEEDED = {Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR}
-# Skin counts as fat if it is not part of the model.
+# Skin counts as fat unless the model includes it.
 COUNTED_AS = {Tissue.SKIN: Tissue.FAT}
 
 
@@ -46,7 +46,7 @@ class CaseImages:
         Raises
         ------
         InputError
-            If there is no such image, or a label is no tissue of a diagnosis.
+            If there is no such image, or a label is not a tissue of a diagnosis.
         """
         image = self._image(name)
         found = self._understood(image)
@@ -54,8 +54,8 @@ class CaseImages:
         others = [tissue.name.lower() for tissue in known.values() if tissue not in NEEDED]
         if others:
             raise InputError(
-                f"{image.where} has {' and '.join(others)}, and a diagnosis knows air, fat and "
-                "glandular tissue. State which of them it counts as, such as labels: {NAME: fat}."
+                f"{image.where} has {' and '.join(others)}, but a diagnosis has only air, fat and "
+                "glandular tissue. Assign it to one of them, as in labels: {NAME: fat}."
             )
         if set(known.values()) != NEEDED:
             raise InputError(self._missing(image))
@@ -69,13 +69,13 @@ class CaseImages:
         volume = self.stored(name)
         if volume is None:
             raise InputError(
-                f"{self.case} names {name}, which is not in the folder, nor a volume of the store. "
+                f"{self.case} names {name}, which is not in the folder and not in the store. "
                 "Check the name, or import the image first."
             )
         if scans.axes is not None or scans.spacing_mm is not None:
             raise InputError(
-                f"{name} is a volume of the store, which has its spacing and axes: take axes and "
-                f"spacing_mm out of {self.case}, or name the file."
+                f"{name} is a stored volume, whose spacing and axes are known: remove axes and "
+                f"spacing_mm from {self.case}, or name the file."
             )
         names = {int(t): t.name.lower() for t in Tissue}
         return LabelImage(volume, names, f"The stored volume {name}", anatomical=False)
@@ -94,9 +94,9 @@ class CaseImages:
 
     def _missing(self, image: LabelImage) -> str:
         return (
-            f"{image.where} has the labels {sorted(label_counts(image.volume))}; a case has 0 "
-            f"background, 1 fat and 2 glandular, all of them, or what {self.case.name} says under "
-            "labels. Relabel the scan, or segment what is missing."
+            f"{image.where} has the labels {sorted(label_counts(image.volume))}; a case needs 0 "
+            f"background, 1 fat and 2 glandular, or the labels stated in {self.case.name}. "
+            "Relabel the scan, or segment the missing tissues."
         )
 
 

@@ -1,4 +1,4 @@
-"""Scans of a breast under known loads as a plug-in."""
+"""Plug-in for scans of a breast under known loads."""
 
 from palpate.workers.organs.plugin import SourcePlugin
 

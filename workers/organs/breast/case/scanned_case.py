@@ -1,6 +1,6 @@
-"""A case to be diagnosed: what its file says, the scan at rest and the scans under load.
+"""A case to diagnose: its settings, the scan at rest and the scans under load.
 
-Plates press with a known force, or stand at a known distance.
+Either the force on the plates or their distance is known.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,7 +30,7 @@ from palpate.workers.units import KPA_PER_MM
 
 __all__ = ["ScannedCase", "above_wall", "extent_mm"]
 
-# Points this near to the chest wall sit where the image was cut.
+# Points this close to the chest wall are on the cut of the image.
 WALL_MARGIN_MM = 4.0
 
 
@@ -40,19 +40,18 @@ class ScannedCase:
     Parameters
     ----------
     file : CaseFile
-        What its file says.
+        Settings of the case.
     reference : Volume
         `Tissue` labels of the body at rest, in air and above the chest wall.
     repeat : Volume or None
-        A second segmentation of it.
+        A second segmentation of the body at rest.
     loaded : sequence of Volume
-        The same under each load, with what went below the place of the wall; empty if the scans
-        are not made, for which the body at rest then stands: plates at a distance close around
-        its middle.
+        Labels under each load, including tissue below the wall. Empty before the scans are made:
+        the body at rest is then used instead, and plates at a distance close around its middle.
     where : str
-        The path of the file, for messages.
+        Path of the file, for messages.
     motions : sequence of str
-        How each loaded scan was moved into the frame of the scan at rest; empty if none was.
+        Descriptions of the motions that aligned the loaded scans; empty without alignment.
     """
 
     def __init__(
@@ -75,7 +74,7 @@ class ScannedCase:
 
     @property
     def names(self) -> list[str]:
-        """Of the loaded scans."""
+        """Names of the loaded scans."""
         return [load.name for load in self.loads]
 
     @property
@@ -89,7 +88,7 @@ class ScannedCase:
 
     @cached_property
     def noise(self) -> SegmentationNoise:
-        """Of the segmentation: as two of one image differ, as stated, or as in a study."""
+        """Noise of the segmentation: from a repeat, as stated, or as in a study."""
         if self.repeat is not None:
             return from_repeat(self.reference, self.repeat, wall_margin_mm=WALL_MARGIN_MM)
         stated = self.file.noise
@@ -101,7 +100,7 @@ class ScannedCase:
 
     @property
     def pose_sd(self) -> tuple[float, float]:
-        """How far a scan may lie from where its header puts it, in mm and in degrees."""
+        """Standard deviations of the pose of a scan from its header, in mm and in degrees."""
         shift_mm, turn_deg = self.file.scans.pose_sd_mm, self.file.scans.pose_sd_deg
         return (
             SETTINGS.pose.shift_sd_mm if shift_mm is None else shift_mm,
@@ -109,11 +108,11 @@ class ScannedCase:
         )
 
     def above_wall(self, labels: Volume) -> Volume:
-        """Return the part of a loaded scan where the body was at rest; see `above_wall`."""
+        """Return the part of a loaded scan above the chest wall; see `above_wall`."""
         return above_wall(labels, self.wall_mm)
 
     def problem(self, number: int, frame: Frame) -> Callable[[Values], Problem]:
-        """Return the nominal model of one loaded scan, from the values of the free constants."""
+        """Return a function from the free constants to the nominal problem of one loaded scan."""
         model, nu = self.file.model, self.file.nu
         has_fibres = self.file.has_fibres
         load = self._load(number, frame)
@@ -155,25 +154,25 @@ class ScannedCase:
         )
 
     def plate_starts_mm(self, load: CaseLoad) -> tuple[float, float]:
-        """Return where the plates of a force start: as stated, or at the body at rest."""
+        """Return the initial positions of the plates of a force; by default at the body at rest."""
         lower, upper = stated_starts_mm(self.file, load)
         body = extent_mm(self.reference, load.axis)
         return body[0] if lower is None else lower, body[1] if upper is None else upper
 
     @property
     def wall_mm(self) -> float:
-        """The z of the chest wall: as stated, or the lower face of the body at rest."""
+        """Position of the chest wall along z; by default the lower face of the body at rest."""
         stated = self.file.wall.z_mm
         return lower_face_mm(self.reference) if stated is None else stated
 
     @property
     def unloaded(self) -> "ScannedCase":
-        """The same case before its loaded scans are made."""
+        """The same case without its loaded scans."""
         return ScannedCase(self.file, self.reference, self.repeat, [], self.where)
 
 
 def stated_starts_mm(file: CaseFile, load: CaseLoad) -> tuple[float | None, float | None]:
-    """Return the plate positions that a load states; if not both, those of `plates`."""
+    """Return the plate positions of a load; unless both are stated, those in `plates`."""
     if load.lower_mm is not None and load.upper_mm is not None:
         return load.lower_mm, load.upper_mm
     plates = file.plates or CasePlates()
@@ -181,13 +180,13 @@ def stated_starts_mm(file: CaseFile, load: CaseLoad) -> tuple[float | None, floa
 
 
 def lower_face_mm(labels: Volume) -> float:
-    """Return the z of the lower face of a body's first slice."""
+    """Return the z of the lower face of the first slice of a body."""
     first = int((labels.values != Tissue.AIR).any(axis=(1, 2)).argmax())
     return float(labels.origin_mm[2] + (first - 0.5) * labels.spacing_mm[2])
 
 
 def above_wall(labels: Volume, wall_mm: float) -> Volume:
-    """Return the slices whose centres lie above the chest wall; segmentation may spill below it."""
+    """Return the slices with centres above the chest wall; segmentations may extend below it."""
     z = labels.origin_mm[2] + labels.spacing_mm[2] * np.arange(labels.values.shape[0])
     first = int(np.searchsorted(z, wall_mm + 1e-6))
     x0, y0, _ = labels.origin_mm

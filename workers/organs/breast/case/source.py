@@ -1,4 +1,4 @@
-"""A case of segmented scans as the source of a diagnosis, and of a plan before it is scanned."""
+"""Segmented scans as the source of a diagnosis, and planned scans as the source of a plan."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -33,7 +33,7 @@ from palpate.workers.organs.study_checks import Finding
 from palpate.workers.scan_threads import Each
 from palpate.workers.spec import validated
 
-# Names of the volumes of a case in its content; loaded scans follow by their number.
+# Names of the volumes in the content of a case; loaded scans are numbered.
 REFERENCE, REPEAT, LOADED = "reference", "repeat", "loaded_"
 
 
@@ -52,17 +52,17 @@ class ScannedCaseSource:
 
     @classmethod
     def from_content(cls, content: SourceContent) -> "ScannedCaseSource":
-        """Make it again from what the store holds."""
+        """Restore a source from its stored content."""
         return cls(_case_from(content))
 
     @property
     def content(self) -> SourceContent:
-        """What its file says, and all scans."""
+        """The settings and all scans."""
         return _content(self.kind, self.case)
 
     @property
     def name(self) -> str:
-        """The name that its file gives."""
+        """Name of the case."""
         return self.case.file.name
 
     @property
@@ -72,17 +72,17 @@ class ScannedCaseSource:
 
     @property
     def effects(self) -> Sequence[Effect]:
-        """What may be missing from the model of a breast."""
+        """Effects that the model of a breast may lack."""
         return self.case.file.model.laws.suspects
 
     @property
     def pressed(self) -> Mapping[str, Pressed]:
-        """How the plates press it in each loaded scan, by name."""
+        """Compression in each loaded scan, by name."""
         return {load.name: Pressed(load.axis, load.force_n) for load in self.case.loads}
 
     @property
     def segmentation_noise(self) -> SegmentationNoise:
-        """What its segmentations err by."""
+        """Noise of the segmentations."""
         return self.case.noise
 
     def check(self) -> None:
@@ -95,22 +95,22 @@ class ScannedCaseSource:
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """How its scans were aligned."""
+        """Descriptions of the alignment of the scans."""
         return self.case.motions
 
     @property
     def preparations(self) -> Sequence[str]:
-        """Points, body and loaded scans."""
+        """Names of the preparations: points, body and loaded scans."""
         return preparations_of(len(self.case.deformed))
 
     def prepare(self, name: str, spacing_mm: float) -> Prepared:
-        """Make one of them."""
+        """Compute one of the preparations."""
         return prepare_scan(self.acquisition, name, spacing_mm, self.case.deformed)
 
     def inverse_problem(
         self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
     ) -> InverseProblem:
-        """Mesh the body, put points on its interfaces and compare them with the scans."""
+        """Return the comparison of points on the interfaces of the meshed body with the scans."""
         scans = self.case.deformed
         return inverse_problem_of(self.acquisition, nodes, spacing_mm, scans, prepared)
 
@@ -120,7 +120,7 @@ class ScannedCaseSource:
 
     @property
     def acquisition(self) -> Acquisition:
-        """What is known without looking at its loaded scans."""
+        """The acquisition, without the loaded scans."""
         return acquisition_of(self.case)
 
     def describe(
@@ -151,7 +151,7 @@ class PlannedCaseSource:
     Parameters
     ----------
     case : ScannedCase
-        Whose body at rest stands for its loaded scans.
+        Its body at rest replaces the loaded scans.
     """
 
     kind = "planned case"
@@ -161,7 +161,7 @@ class PlannedCaseSource:
 
     @classmethod
     def from_content(cls, content: SourceContent) -> "PlannedCaseSource":
-        """Make it again from what the store holds."""
+        """Restore a source from its stored content."""
         return cls(_case_from(content))
 
     def findings(self) -> Iterator[Finding]:
@@ -170,12 +170,12 @@ class PlannedCaseSource:
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """None: its scans are not made yet."""
+        """No caveats: the scans do not exist yet."""
         return ()
 
     @property
     def content(self) -> SourceContent:
-        """What its file says, and the scan at rest."""
+        """The settings and the scan at rest."""
         return _content(self.kind, self.case.unloaded)
 
     @property

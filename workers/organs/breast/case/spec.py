@@ -1,7 +1,6 @@
-"""What a case of a diagnosis says: its scans and loads, and what the nominal model knows.
+"""Keys of a case to diagnose: scans, loads and the nominal model.
 
-The words are those of a study, every number carries its unit in its name, and a key that is
-not known is refused.
+The keys are named as in a study and include their units; unknown keys are refused.
 """
 
 import math
@@ -31,7 +30,7 @@ from palpate.workers.units import KPA, Unit
 ALONG_X: Triple = (1.0, 0.0, 0.0)
 ALONG_Y: Triple = (0.0, 1.0, 0.0)
 AXES = {"x": ALONG_X, "y": ALONG_Y}
-# Names at the door of the constants of the model, and inside it.
+# Names inside of the constants of the model, by their keys.
 CONSTANTS = {
     "E_fat_kpa": "E_fat",
     "E_glandular_kpa": "E_gl",
@@ -39,23 +38,23 @@ CONSTANTS = {
     "eta_glandular_kpa": "eta_glandular",
 }
 FIBRES = {"eta_fat_kpa", "eta_glandular_kpa"}
-# The stiffness of the fibres inside the model where it is one value for both tissues.
+# Name inside of a fibre stiffness that both tissues share.
 ONE_FIBRE = "eta"
 NU = "nu"
 NU_BELOW = 0.5
-# By how much the given places of the plates may differ from the given distance.
+# Tolerance between the stated plate positions and the stated distance.
 DISTANCE_SLACK_MM = 0.5
 
 
 def _constant(given: Any) -> Any:
-    """Return a value as a float, an interval as two; what stands for another constant as it is."""
+    """Convert a value to a float and an interval to two; keep the name of another constant."""
     if given in SAME_FIBRES.values():
         return given
     many = given if isinstance(given, list | tuple) else [given]
     numbers = [v for v in many if isinstance(v, int | float) and not isinstance(v, bool)]
     if len(numbers) != len(many) or not all(math.isfinite(v) and v > 0 for v in numbers):
         raise ValueError(
-            "expected a value above zero, such as 10, which is held, or an interval to search, "
+            "expected a positive value to hold, such as 10, or an interval to search, "
             f"such as [7, 14]; found {given!r}"
         )
     if len(many) == 1 and many is not given:
@@ -66,7 +65,7 @@ def _constant(given: Any) -> Any:
 
 
 def _axis(given: Any) -> Any:
-    """Let x and y stand for their directions."""
+    """Convert x and y to directions."""
     if isinstance(given, str):
         if given not in AXES:
             raise ValueError(f"expected x, y or a direction such as [1, 1, 0]; found {given!r}")
@@ -75,7 +74,7 @@ def _axis(given: Any) -> Any:
 
 
 def _law(given: Any) -> Any:
-    """Let the name of any law stand for all tissues."""
+    """Apply a law given by name to all tissues."""
     return given if given in get_args(physics.Law) else for_all_tissues(given)
 
 
@@ -97,14 +96,14 @@ class CaseModel(Door):
     Parameters
     ----------
     law : str or mapping
-        A neo-Hookean solid, or one with fibres of stiffness eta. Another law, such as yeoh or
+        A neo-Hookean solid, with or without fibres of stiffness eta. Another law, such as yeoh or
         {fat: yeoh, glandular: fung}, has fibres if constants give their stiffness, and shape
         constants, such as yeoh_c2_fat; `palpate parameters --law yeoh` lists them.
     fibres, fibre_invariant : str
-        As in a study: whether fibres resist compression too, and whether their stretch is
+        As in a study: whether fibres also resist compression, and whether their stretch is
         I4 or its isochoric part.
     fibre_direction : tuple of float
-        Anywhere in the body; from the chest wall to the nipple is z.
+        Direction of the fibres throughout the body; z is from the chest wall to the nipple.
     """
 
     law: Annotated[
@@ -136,16 +135,15 @@ class CaseModel(Door):
 
 
 class CaseWall(Door):
-    """The chest wall: its position, and what holds the body along it.
+    """The chest wall: its position, and the support of the body along it.
 
-    Away from the wall nothing moves. Along it the body is held, or on springs: force per
-    area and displacement, of which zero lets it slide. Without `z_mm` the wall is where the
-    body begins in the scan at rest, as in a study.
+    The body cannot leave the wall. Along it the body is held, or supported by springs (force per
+    area and displacement); at zero stiffness it slides.
 
     Parameters
     ----------
     z_mm
-        Position of the wall along z, in mm. Default: where the body begins in the scan at rest.
+        Position of the wall along z, in mm. Default: the lower face of the body at rest.
     held
         Whether the body is held along the wall.
     wall_hold_x_kpa_per_mm
@@ -167,7 +165,7 @@ class CaseWall(Door):
 
 
 class CasePlates(Door):
-    """Where the plates start along the direction of compression; by default at the body.
+    """Initial positions of the plates.
 
     Parameters
     ----------
@@ -193,32 +191,30 @@ class CasePlates(Door):
 
 
 class CaseNoise(Door):
-    """How segmentations err: a smooth field of signed distances.
-
-    `in_scans` says which of them err: all, or only the loaded ones.
+    """Segmentation noise: a smooth field of signed distances.
 
     Parameters
     ----------
     in_scans
-        Which scans have this error: ``all``, or only the ``loaded`` ones.
+        Scans with this error: ``all``, or only the ``loaded`` ones.
     """
 
-    sd_mm: Positive = Field(description="error of a drawn boundary, standard deviation in mm")
-    correlation_mm: Positive = Field(description="length in mm over which errors are alike")
+    sd_mm: Positive = Field(description="standard deviation of a segmented boundary, in mm")
+    correlation_mm: Positive = Field(description="correlation length of the errors, in mm")
     in_scans: Literal["all", "loaded"] = "all"
 
 
 class CaseLoad(Door):
     """One loaded scan.
 
-    Plates start at `lower_mm` and `upper_mm` along their axis if the force is known; without
-    them where `plates` says, or at the body in the scan at rest. With `plate_distance_mm` they
-    end there; by default where the body in the scan does.
+    With `force_n`, `lower_mm` and `upper_mm` are the initial positions of the plates along their
+    axis; the default is `plates`, or else the body at rest. With `plate_distance_mm` they are the
+    final positions; the default is the body in the scan.
 
     Parameters
     ----------
     axis
-        Direction of compression: ``x``, ``y`` or a direction across z such as ``[1, 1, 0]``.
+        Direction of compression: ``x``, ``y`` or another one perpendicular to z: ``[1, 1, 0]``.
     lower_mm
         Initial position of the lower plate for this load, in mm; with a distance, the final one.
     upper_mm
@@ -239,7 +235,7 @@ class CaseLoad(Door):
     @model_validator(mode="after")
     def _one_load(self) -> Self:
         if self.axis[2] or not any(self.axis):
-            raise ValueError("axis must lie across z, such as x, y or [1, 1, 0]")
+            raise ValueError("axis must be perpendicular to z, such as x, y or [1, 1, 0]")
         if self.lower_mm is None or self.upper_mm is None:
             return self
         CasePlates(lower_mm=self.lower_mm, upper_mm=self.upper_mm)
@@ -247,13 +243,13 @@ class CaseLoad(Door):
         if distance is not None and abs(distance - apart) > DISTANCE_SLACK_MM:
             raise ValueError(
                 f"lower_mm and upper_mm are {apart:g} mm apart, but plate_distance_mm is "
-                f"{distance:g}: leave one of them out"
+                f"{distance:g}: remove one of them"
             )
         return self
 
     @property
     def name(self) -> str:
-        """Return what the report calls it."""
+        """Return the name of the scan in reports."""
         loaded = (
             f"{self.force_n:g} N" if self.force_n is not None else f"{self.plate_distance_mm:g} mm"
         )
@@ -268,28 +264,26 @@ class CaseLoad(Door):
 class CaseScans(Door):
     """The scan at rest, a second segmentation of it, and the scans under load.
 
-    `pose_sd_mm` and `pose_sd_deg` say how far a loaded scan may lie from where its header puts
-    it, along and about each axis; without them the settings of the diagnosis do. All scans are
-    files, or volumes of the store by their names; `labels`, `axes` and `spacing_mm` state how the
-    files are read, as in a study. With ``align: rigid`` each loaded scan is first moved into the
-    frame of the scan at rest; see `workers.organs.breast.plausibility.rigid_motion`.
+    All scans are files, or names of stored volumes; `labels`, `axes` and `spacing_mm` apply to
+    files, as in a study. For ``align: rigid`` see
+    `workers.organs.breast.plausibility.rigid_motion`.
 
     Parameters
     ----------
     reference_repeat
-        A second segmentation of the body at rest, which shows the noise.
+        A second segmentation of the body at rest, from which the noise is measured.
     pose_sd_mm
-        How far a loaded scan may lie from where its header puts it, along each axis, standard
-        deviation in mm. Default: 0.3.
+        Standard deviation of the position of a loaded scan from its header, along each axis, in
+        mm. Default: 0.3.
     pose_sd_deg
-        The same about each axis, in degrees. Default: 0.3.
+        Standard deviation of its rotation about each axis, in degrees. Default: 0.3.
     align
         ``rigid``: each loaded scan is first moved into the frame of the scan at rest. Default: it
-        is there.
+        already is in that frame.
     labels
-        What each label of the scans is; as in a study.
+        Tissue of each label of the scans; as in a study.
     axes
-        How the scans are turned into the frame of the body; as in a study.
+        Axes of the scans in the frame of the body; as in a study.
     spacing_mm
         Size of a voxel along x, y and z, in mm, for formats that do not state it.
     """
@@ -313,13 +307,13 @@ class CaseScans(Door):
             if tissue not in CASE_TISSUES:
                 raise ValueError(
                     f"{label}: expected 'air', 'fat' or 'glandular', found {tissue!r}: a diagnosis "
-                    "knows no other tissue"
+                    "has no other tissues"
                 )
         return labels
 
 
 class CaseFile(Door):
-    """A breast that was scanned at rest and under load, to be diagnosed.
+    """A case to diagnose: a breast scanned at rest and under load.
 
     Parameters
     ----------
@@ -330,9 +324,9 @@ class CaseFile(Door):
     wall
         The chest wall.
     plates
-        Where the plates begin, for all loads. Default: at the body.
+        Initial positions of the plates, for all loads. Default: at the body.
     noise
-        How segmentations err. Default: learnt from the scans.
+        Segmentation noise. Default: learnt from the scans.
     """
 
     organ: Literal["breast"] = "breast"
@@ -341,7 +335,7 @@ class CaseFile(Door):
     wall: CaseWall = CaseWall()
     plates: CasePlates | None = None
     constants: dict[str, Constant] = Field(
-        description="a value that is held, such as 10, or an interval to search, such as [5, 20]; "
+        description="a value to hold, such as 10, or an interval to search, such as [5, 20]; "
         "eta_glandular_kpa: eta_fat_kpa gives all fibres one stiffness; nu can only be held"
     )
     noise: CaseNoise | None = None
@@ -367,7 +361,7 @@ class CaseFile(Door):
         self._check_constants()
         if not self.free:
             raise ValueError(
-                "constants: all are held, at least one is to be searched, as in E_fat_kpa: [7, 14]"
+                "constants: all are held; give an interval to search, as in E_fat_kpa: [7, 14]"
             )
         return self
 
@@ -393,8 +387,8 @@ class CaseFile(Door):
             wanted |= FIBRES
         if lacking := sorted(wanted - given):
             raise missing(
-                f"constants: no value of {', '.join(lacking)}: hold it, as in "
-                "E_fat_kpa: 10, or give an interval to search, as in E_fat_kpa: [7, 14]"
+                f"constants: no value of {', '.join(lacking)}: give a value to hold, as in "
+                "E_fat_kpa: 10, or an interval to search, as in E_fat_kpa: [7, 14]"
             )
 
     @property
@@ -405,7 +399,7 @@ class CaseFile(Door):
 
     @property
     def record(self) -> dict[str, Any]:
-        """Return plain values by the names that records in stores have."""
+        """Plain values under the names used by records in a store."""
         values = self.model_dump(mode="json")
         values["constants"].setdefault(NU, self.nu)
         return with_recorded_names(values)
@@ -417,7 +411,7 @@ class CaseFile(Door):
 
     @property
     def names(self) -> dict[str, tuple[str, Unit]]:
-        """The names inside and the units of all constants that the model has, by their keys."""
+        """Names inside and units of all constants of the model, by their keys."""
         stiffnesses = {key: (name, KPA) for key, name in CONSTANTS.items()}
         if self.constants.items() >= SAME_FIBRES.items():
             stiffnesses |= {"eta_fat_kpa": (ONE_FIBRE, KPA)}
@@ -427,7 +421,7 @@ class CaseFile(Door):
 
     @property
     def free(self) -> dict[str, tuple[float, float]]:
-        """Return the searched intervals as stated, by names inside, in one order."""
+        """Searched intervals as stated, by names inside, in a fixed order."""
         return {
             name: value
             for key, (name, _) in self.names.items()
@@ -436,7 +430,7 @@ class CaseFile(Door):
 
     @property
     def held(self) -> dict[str, float]:
-        """Return the held constants as stated, by names inside."""
+        """Held constants as stated, by names inside."""
         return {
             name: value
             for key, (name, _) in self.names.items()

@@ -1,4 +1,4 @@
-"""What a case was understood to say, as rows for a reader."""
+"""Table of the assumptions of a diagnosis."""
 
 from palpate.workers.old_names import SAME_FIBRES
 from palpate.workers.organs.breast.case.images import labels_in_words
@@ -12,7 +12,7 @@ Rows = list[tuple[str, str]]
 
 
 def understood(file: CaseFile) -> Rows:
-    """Return a name and a text for all that the diagnosis will rest on.
+    """Return names and texts of the assumptions of a diagnosis.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def _wall(file: CaseFile) -> str:
 
 
 def _units(file: CaseFile) -> dict[str, Unit]:
-    """Return the units of the constants that a file gives, by key."""
+    """Return the units of the constants given in a file, by key."""
     units = {key: unit for key, (_, unit) in file.names.items()} | dict.fromkeys(SAME_FIBRES, KPA)
     return {key: unit for key, unit in units.items() if key in file.constants}
 
@@ -81,7 +81,7 @@ def _noise(file: CaseFile) -> str:
             f"not stated: {DRAWN_VOXELS:g} voxels, correlated over {DRAWN_LENGTH_MM:g} mm, "
             "in all scans"
         )
-    scans = "in all scans" if file.noise.in_scans == "all" else "in the loaded scans alone"
+    scans = "in all scans" if file.noise.in_scans == "all" else "in the loaded scans only"
     return f"sd {file.noise.sd_mm:g} mm, correlated over {file.noise.correlation_mm:g} mm, {scans}"
 
 

@@ -7,11 +7,11 @@ from palpate.workers.organs.study_checks import Finding
 
 # The longest side of a breast on its chest wall, in mm.
 USUAL_MM = (50.0, 400.0)
-# Breasts of women who were scanned or operated have some 50 to 3,000 ml (Huang et al., Med.
-# Phys. 38, 2180, 2011: 80 to 2,500 ml in breast CT). The limits leave room for a part of a small
-# breast that was cut far from the chest wall.
+# In imaging and surgery, breasts have about 50 to 3,000 ml (Huang et al., Med. Phys. 38, 2180,
+# 2011: 80 to 2,500 ml in breast CT). The limits also allow a part of a small breast that was cut
+# far from the chest wall.
 POSSIBLE_ML = (10.0, 5000.0)
-# Share of the body below which pieces are specks of a segmentation.
+# Share of the body below which detached pieces count as specks of the segmentation.
 SPECKS = 0.01
 
 
@@ -21,7 +21,7 @@ def check_volume_range(scan: Scan) -> Iterator[Finding]:
     if not least <= scan.ml <= most:
         yield Finding(
             "implausible",
-            f"The body in {scan.file} has {_number(scan.ml)} ml and is {_size(scan)} mm large, in "
+            f"The body in {scan.file} has {_number(scan.ml)} ml and measures {_size(scan)} mm, in "
             f"voxels of {scan.sides}; a breast has {least:g} to {most:g} ml. State its spacing_mm "
             "in mm.",
         )
@@ -30,7 +30,7 @@ def check_volume_range(scan: Scan) -> Iterator[Finding]:
     if not USUAL_MM[0] <= longest <= USUAL_MM[1]:
         yield Finding(
             "warning",
-            f"The body in {scan.file} is {_size(scan)} mm large, in voxels of {scan.sides}; a "
+            f"The body in {scan.file} measures {_size(scan)} mm, in voxels of {scan.sides}; a "
             f"breast is {USUAL_MM[0]:g} to {USUAL_MM[1]:g} mm long. State its spacing_mm in mm.",
         )
 

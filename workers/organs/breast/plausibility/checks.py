@@ -33,7 +33,7 @@ def check_bodies(facts: BreastFacts) -> Iterator[Finding]:
             yield from check(scan)
 
 
-# A group is checked only if nothing was refused before, as its findings would follow from that.
+# A group is checked only if no earlier one refuses: its findings would be consequences.
 CHECKS: tuple[tuple[Check, ...], ...] = (
     (check_bodies, check_outline, check_volumes),
     (

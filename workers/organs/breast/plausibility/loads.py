@@ -9,7 +9,7 @@ from palpate.workers.organs.study_checks import Finding
 PLATE_MM, PLATE_VOXELS = 2.0, 2.0
 # Gap between plate and body that is allowed at the start: contact and one voxel.
 START_MM = 2.0
-# Beyond this compression, in multiples of the thickness, a linear estimate is absurd.
+# Compression, in multiples of the thickness, beyond which a linear estimate is absurd.
 ABSURD_STRAIN = 5.0
 
 
@@ -34,7 +34,7 @@ def check_force(facts: BreastFacts) -> Iterator[Finding]:
                 "implausible",
                 f"{load.where}: {load.force_n:g} N moves the plates by about {most:.2g} mm (a body "
                 f"of {thick:.1f} mm, fat of {1000 * soft:g} kPa), less than one voxel "
-                f"({voxel:g} mm): nothing could be found. Give the force in N; 1 kN is 1000 N.",
+                f"({voxel:g} mm): too little to measure. Give the force in N; 1 kN is 1000 N.",
             )
         elif least > ABSURD_STRAIN * thick:
             yield Finding(
@@ -65,8 +65,9 @@ def check_distance(facts: BreastFacts) -> Iterator[Finding]:
             yield Finding(
                 "implausible",
                 f"{load.where} is {distance:g} mm, but the body is {scan.thickness_mm:.1f} mm "
-                f"thick between the plates in {scan.file}; at most {_slack(scan):g} mm of "
-                "difference was expected. Give the distance at which that scan was made, in mm.",
+                f"thick between the plates in {scan.file}; a difference of at most "
+                f"{_slack(scan):g} mm was expected. Give the distance at which that scan was made, "
+                "in mm.",
             )
         if rest is not None and load.initial_mm is not None:
             off = abs(load.initial_mm - rest.thickness_mm)
@@ -92,8 +93,8 @@ def check_plates(facts: BreastFacts) -> Iterator[Finding]:
                     "implausible",
                     f"{load.where}: the {name} plate ends at {plate:g} mm, but the body in "
                     f"{scan.file} ends at {end:.1f} mm, {abs(plate - end):.1f} mm away. Give the "
-                    "places of the plates in the frame of the scan, or leave them out: they are "
-                    "then taken from the scan.",
+                    "positions of the plates in the frame of the scan, or omit them: they are then "
+                    "taken from the scan.",
                 )
 
 
@@ -110,9 +111,9 @@ def _start(
         place = "off" if gap > 0 else "inside"
         yield Finding(
             "implausible",
-            f"{where}: your {name} plate starts {abs(gap):.1f} mm {place} the body ({plate:g} mm; "
-            f"the body in {rest.file} ends at {end:.1f} mm along the compression). Give the place "
-            "at which the plate first touches the body, or leave it out: it is then taken from "
+            f"{where}: the {name} plate starts {abs(gap):.1f} mm {place} the body ({plate:g} mm; "
+            f"the body in {rest.file} ends at {end:.1f} mm along the compression). Give the "
+            "position at which the plate first touches the body, or omit it: it is then taken from "
             "the scan.",
         )
 
@@ -122,7 +123,7 @@ def _along(rest: Scan, load: PlateLoad) -> Scan:
 
 
 def _off(distance: float, scan: Scan) -> float:
-    """Return the difference of a distance from the thickness, ignoring bulges next to plates."""
+    """Return the difference between a distance and the thickness, ignoring bulges."""
     return min(abs(distance - scan.thickness_mm), abs(distance - scan.median_thickness_mm))
 
 

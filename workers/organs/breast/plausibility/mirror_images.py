@@ -1,8 +1,7 @@
 """Detection of mirror images: a compressed breast that fits the one at rest better when flipped.
 
-The position of glandular tissue is compared relative to the plates and to the box of the body. It
-hardly depends on the amount of compression, which shortens lines along it and makes the box longer
-and wider.
+The position of the glandular tissue is compared relative to the plates and to the bounding box of
+the body. This relative position hardly depends on the amount of compression.
 """
 
 from itertools import product
@@ -15,9 +14,9 @@ from palpate.workers.organs.breast.plausibility.scan_facts import Scan
 
 # Cells perpendicular to the compression, along it, and from the chest wall to the nipple.
 CELLS = (16, 6, 10)
-# Margin by which the sum of two correlations must be better for a mirror image. Among pairs made by
-# the solver the right one is better by 0.13 or more if a flip can be detected at all, and never
-# worse by more than 0.01; the same holds for the pair of shared/data/breast_bct_niftysim.
+# Margin by which the sum of two correlations must be better for a mirror image. In simulated pairs,
+# the right orientation is better by 0.13 or more if a flip can be detected at all, and never worse
+# by more than 0.01; the same holds for the pair of shared/data/breast_bct_niftysim.
 MARGIN = 0.08
 # Minimum sum of both correlations for two scans to count as one body.
 ALIKE = 1.0

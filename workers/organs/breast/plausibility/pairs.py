@@ -21,8 +21,7 @@ SEGMENTED = 0.04
 # Simulated pairs lose 0.5 to 1.05 times 3 (1 - 2 nu) ln(thickness before / after) of their volume
 # under the plates, 1.5 to 5 % at nu = 0.49; the pair of shared/data/breast_bct_niftysim 1 %.
 COMPRESSED = 1.25
-# Decimal logarithm of a ratio of spacings above which another unit is more likely than another
-# scan.
+# Decimal logarithm of a ratio of spacings above which another unit is the likely cause.
 OTHER_UNIT = 0.7
 # Share of the smaller body that must be inside the other one.
 OVERLAP_SHARE = 0.1
@@ -86,15 +85,15 @@ def check_volumes(facts: BreastFacts) -> Iterator[Finding]:
         sides = np.log10(np.divide(scan.labels.spacing_mm, rest.labels.spacing_mm))
         if (np.abs(sides) > OTHER_UNIT).any():
             cause = (
-                "The spacing of one of the files looks wrong, as by a factor of 10: found "
+                "The spacing of one of the files looks wrong, perhaps by a factor of 10: found "
                 f"{rest.sides} in {rest.file} and {scan.sides} in {scan.file}. Write the spacing "
                 "in mm into its header."
             )
         else:
             scale = (1 + change) ** (1 / 3)
             cause = (
-                "Is it the same body, segmented to the same chest wall, and are both spacings "
-                f"right (a scale of {scale:.3f} would explain it)? Give scans of one body."
+                "Check that both scans show the same body down to the same chest wall, and that "
+                f"both spacings are right (a scale of {scale:.3f} would explain it)."
             )
         yield Finding(
             "implausible",
@@ -140,7 +139,7 @@ def check_moved(facts: BreastFacts) -> Iterator[Finding]:
             yield Finding(
                 "implausible",
                 f"{scan.file} shows the same as {rest.file} in {same:.1%} of the body's voxels: "
-                f"nothing moved under {under}, so it tells nothing about stiffness. Give the scan "
+                f"nothing moved under {under}, so the stiffness cannot be found. Give the scan "
                 "under load.",
             )
 
@@ -176,7 +175,7 @@ def check_outline(facts: BreastFacts) -> Iterator[Finding]:
         yield Finding(
             "implausible",
             f"In {rest.file} {share:.0%} of the outline is glandular tissue (label 2), expected "
-            f"less than {GLAND_OUTSIDE:.0%}: fat is outside. Fat (1) and glandular tissue (2) "
+            f"less than {GLAND_OUTSIDE:.0%}, as fat is outside. Fat (1) and glandular tissue (2) "
             "look exchanged: exchange the labels in all scans.",
         )
 
@@ -216,7 +215,7 @@ def check_mirror_image(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def check_rigid_motion(facts: BreastFacts) -> Iterator[Finding]:
-    """Name the rigid motion that would bring a scan into the frame of the other one."""
+    """Report the rigid motion that would align a scan with the scan at rest."""
     for rest, scan, load in _pairs(facts):
         if not facts.aligned and _no_common_place(rest, scan):
             continue
@@ -226,21 +225,22 @@ def check_rigid_motion(facts: BreastFacts) -> Iterator[Finding]:
         other = motion_between(rest, scan, replace(load, fixed="middle"))
         moving = load.force_n is not None and _is_small(other, rest, scan)
         remedy = (
-            "The middle of the body stays where it is: if both plates move, state "
+            "The middle of the body does not move: if both plates move, state "
             "case.load.moving: both."
             if moving and facts.rigid_is_refused
             else f"Check both origins, or let Palpate align them: {facts.align_key}: rigid."
         )
         yield Finding(
             "implausible" if facts.rigid_is_refused else "warning",
-            f"{scan.file} does not fit {rest.file} where it is: moving it by {motion.words} would "
-            "fit better, judged by the chest wall, the plates and the centre of the body. "
+            f"{scan.file} does not fit {rest.file} in its present position: moving it by "
+            f"{motion.words} would improve the fit of the chest wall, the plates and the centre of "
+            "the body. "
             f"{remedy}",
         )
 
 
 def _is_small(motion: RigidMotion, rest: Scan, scan: Scan) -> bool:
-    """Check whether compression and voxels explain a motion."""
+    """Return True if compression and voxels explain a motion."""
     voxel = max(rest.voxel_mm, scan.voxel_mm)
     least_mm = max(LEAST_SHIFT_MM, LEAST_SHIFT_VOXELS * voxel)
     return motion.shift <= least_mm and motion.turn <= LEAST_TURN_DEG
@@ -279,7 +279,7 @@ def _extent(rest: Scan, scan: Scan) -> float:
 
 
 def _pressed_axis(rest: Scan, scan: Scan) -> int | None:
-    """Return the axis along which a body was pressed if it is not the stated one.
+    """Return the axis of compression of a body if it is not the stated one.
 
     The body is much thinner there, and its size changes less along every other axis.
     """
@@ -297,7 +297,7 @@ def _median(rest: Scan, scan: Scan) -> float:
 
 
 def _strain(rest: Scan, scan: Scan) -> float:
-    """Return the logarithm of the thickness before over the thickness after."""
+    """Return the logarithm of the thickness at rest over the thickness under load."""
     return max(0.0, math.log(_extent(rest, scan) / scan.thickness_mm))
 
 

@@ -1,11 +1,11 @@
-"""The rigid motion between two scans of a breast, as far as compression leaves it visible.
+"""Rigid motions between a breast at rest and the same breast under compression.
 
-The chest wall and the plates are planes: the wall gives the place along z and two angles, the
-plates the third angle and the place along the compression. Across it, compression leaves the
-centre of the body where it was, for nothing pushes there: within 0.5 mm in simulated pairs, and
-0.1 mm in the pair of shared/data/breast_bct_niftysim. Angles of some 20 degrees are found;
-scans that are turned further have to be brought into one frame with --axes first. A chest wall
-that is not flat gives neither its place nor its angles.
+The chest wall and the plates are planes: the wall determines the position along z and two angles,
+the plates determine the third angle and the position along the compression. Along the remaining
+axis, compression hardly moves the centre of the body: by 0.5 mm at most in simulated pairs, and by
+0.1 mm in the pair of shared/data/breast_bct_niftysim. Angles of up to about 20 degrees can be
+found; for larger ones, bring the scans into one frame with --axes first. A chest wall that is not
+flat determines neither position nor angles.
 """
 
 from collections.abc import Sequence
@@ -18,25 +18,25 @@ from palpate.storage.values import FloatArray, Tissue, Volume
 from palpate.workers.organs.breast.plausibility.extents import plate_frame
 from palpate.workers.organs.breast.plausibility.scan_facts import PlateLoad, Scan
 
-# A face is a plane if this part of its lines ends within a step of the plane.
+# Minimum share of the lines of a plane face that end within a step of the plane.
 FLAT_SHARE = 0.5
-# The least part of the lines along the compression that end at a plate.
+# Minimum share of the lines along the compression that end at a plate.
 TOUCHED_SHARE = 0.08
-# Both plates are parallel; where only the rim of a round body touches, its faces are not.
+# Tolerance for parallel plates; the faces of a round body that touches only at its rim are not.
 PARALLEL = np.tan(np.radians(1.0))
 ROUNDS = 4
-# Smaller turns are left alone when a scan is aligned: they would cost a resampling.
+# Smaller turns are not corrected when a scan is aligned: they would require resampling.
 LEAST_TURN_DEG = 0.3
 
 
 @dataclass(frozen=True)
 class RigidMotion:
-    """The motion that brings a scan to where the scan at rest is.
+    """Motion that moves a scan into the frame of the scan at rest.
 
     Parameters
     ----------
     shift_mm : tuple of float
-        Of the centre of the body along x, y and z.
+        Shift of the centre of the body along x, y and z.
     turn_deg : tuple of float
         Rotation vector about the centre of the body, in degrees.
     centre_mm : tuple of float
@@ -78,10 +78,10 @@ def motion_between(rest: Scan, scan: Scan, load: PlateLoad, placed: bool = True)
     ----------
     rest, scan : Scan
     load : PlateLoad
-        Tells which end of the body the plates leave in place.
+        Determines which end of the body the plates leave in place.
     placed : bool
-        Whether both scans have a common frame. Without one, a load that says nothing of the
-        place along its axis brings the centres together.
+        Whether both scans have a common frame. If not, and the load does not determine the
+        position along its axis, the centres are aligned.
     """
     frame = plate_frame(scan.axis)
     here, step = rest.sample[0] @ frame.T, np.abs(frame) @ rest.sample[2]
@@ -105,7 +105,7 @@ def motion_between(rest: Scan, scan: Scan, load: PlateLoad, placed: bool = True)
 
 
 def moved(labels: Volume, motion: RigidMotion) -> Volume:
-    """Return a scan after a motion; a turn takes the nearest voxels on a box of its own."""
+    """Return a scan after a motion; turned labels are resampled to the nearest voxels."""
     if motion.turn < LEAST_TURN_DEG:
         x, y, z = np.add(labels.origin_mm, motion.shift_mm)
         return replace(labels, origin_mm=(float(x), float(y), float(z)))
@@ -133,7 +133,7 @@ def moved(labels: Volume, motion: RigidMotion) -> Volume:
 def _along(
     here: FloatArray, there: FloatArray, step: float, its_step: float, load: PlateLoad, placed: bool
 ) -> float:
-    """Return the shift along the compression, which the plates or their force prescribe."""
+    """Return the shift along the compression, determined by the plates or their force."""
     low, high = here.min() - step / 2, here.max() + step / 2
     its_low, its_high = there.min() - its_step / 2, there.max() + its_step / 2
     if load.ends_mm is not None:
@@ -166,7 +166,7 @@ def _turn(points: FloatArray, step: FloatArray, flat_wall: bool) -> Rotation:
 
 @dataclass(frozen=True)
 class _Plane:
-    """A face: its slopes along the two other axes, and its place in the middle."""
+    """A plane face: its slopes along the two other axes, and its position in the middle."""
 
     slopes: Sequence[float]
     middle: float
@@ -183,7 +183,7 @@ def _wall(points: FloatArray, step: FloatArray) -> float | None:
 def _ends(
     points: FloatArray, step: FloatArray, normal: int, *, lower: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the first or last point of each line along an axis: places across, and along it."""
+    """Return the first or last point of each line along an axis: across it, and along it."""
     across = [a for a in range(3) if a != normal]
     cells = np.floor((points[:, across] - points[:, across].min(axis=0)) / step[across] + 0.5)
     width = int(cells[:, 1].max()) + 1
@@ -196,7 +196,7 @@ def _ends(
 
 
 def _plane(places: FloatArray, ends: FloatArray, step: float) -> _Plane | None:
-    """Fit a plane to a flat face, without the lines that end elsewhere; None if it is not flat."""
+    """Fit a plane to a face, ignoring lines that end elsewhere; None if it is not flat."""
     design = np.column_stack([places - places.mean(axis=0), np.ones(len(places))])
     kept = np.ones(len(places), bool)
     plane = np.zeros(3)
@@ -210,7 +210,7 @@ def _plane(places: FloatArray, ends: FloatArray, step: float) -> _Plane | None:
 
 
 def _plate_slopes(points: FloatArray, step: FloatArray) -> list[float]:
-    """Return how both plates are inclined across the compression; fewer if they hardly touch."""
+    """Return the slopes of both plates across the compression; fewer if they hardly touch."""
     slopes = []
     for lower in (True, False):
         places, ends = _ends(points, step, 1, lower=lower)
@@ -220,7 +220,7 @@ def _plate_slopes(points: FloatArray, step: FloatArray) -> list[float]:
         plane = np.zeros(3)
         for _ in range(25):
             plane = np.linalg.lstsq(design[kept], heights[kept], rcond=None)[0]
-            # The body is below the plate everywhere, and on it where it touches.
+            # The body is below the plate, and touches it where kept.
             kept = heights - design @ plane > -step[1]
         touched = np.abs(heights - design @ plane) <= step[1]
         if np.mean(touched) >= TOUCHED_SHARE:

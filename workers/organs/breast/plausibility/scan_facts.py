@@ -1,4 +1,4 @@
-"""Facts of the scans and loads of a breast on which its plausibility checks rest."""
+"""Facts about the scans and loads of a breast, for its plausibility checks."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from scipy.ndimage import label
 from palpate.storage.values import BoolArray, FloatArray, Tissue, Triple, Volume
 from palpate.workers.organs.breast.plausibility.extents import extent_mm
 
-# Voxels of a scan that are looked at where all of them would take long.
+# Maximum number of sampled voxels of a scan, to limit the time of the checks.
 ENOUGH_VOXELS = 400_000
 AXES = "xyz"
 
@@ -22,15 +22,15 @@ class Scan:
     Parameters
     ----------
     file : str
-        Its name in messages.
+        Name in messages.
     force_n : float or None
-        On the plates; 0 at rest, None if only their distance is known.
+        Force on the plates; 0 at rest, None if only their distance is known.
     axis : tuple of float
-        From the lower to the upper plate.
+        Direction from the lower to the upper plate.
     labels : Volume
         `Tissue` labels, above the chest wall.
     whole : Volume, optional
-        The same with what is below the place of the chest wall.
+        Labels including the tissue below the chest wall.
     """
 
     file: str
@@ -41,17 +41,17 @@ class Scan:
 
     @cached_property
     def body(self) -> BoolArray:
-        """Return where there is tissue, ``[z, y, x]``."""
+        """Return the mask of the body, ``[z, y, x]``."""
         return np.asarray(self.labels.values != Tissue.AIR)
 
     @cached_property
     def ml(self) -> float:
-        """Return the volume of the body."""
+        """Return the volume of the body in ml."""
         return float(np.count_nonzero(self.body)) * self.labels.voxel_mm3 / 1000
 
     @cached_property
     def _lines(self) -> tuple[BoolArray, BoolArray, BoolArray]:
-        """Return which slices along x, y and z show tissue."""
+        """Return the masks of the slices with tissue along x, y and z."""
         flat: BoolArray = np.any(self.body, axis=0)
         return np.any(flat, axis=0), np.any(flat, axis=1), np.any(self.body, axis=(1, 2))
 
@@ -63,31 +63,31 @@ class Scan:
 
     @cached_property
     def sides_mm(self) -> list[float]:
-        """Return the lengths of the body along x, y and z."""
+        """Return the lengths of the body along x, y and z in mm."""
         spacing = self.labels.spacing_mm
         return [(b - a + 1) * s for (a, b), s in zip(self.box, spacing, strict=True)]
 
     @cached_property
     def extent_mm(self) -> tuple[float, float]:
-        """Return where the body begins and ends along the axis of compression."""
+        """Return the extent of the body along the axis of compression in mm."""
         return extent_mm(self.labels, self.axis)
 
     @property
     def thickness_mm(self) -> float:
-        """Return its greatest thickness between the plates."""
+        """Return the greatest thickness between the plates in mm."""
         low, high = self.extent_mm
         return high - low
 
     @cached_property
     def median_thickness_mm(self) -> float:
-        """Return its thickness in the median slice.
+        """Return the median thickness of the slices in mm.
 
-        Behind the edge of a plate a body bulges as it is pressed.
+        Behind the edge of a plate, a compressed body bulges.
         """
         return self.median_thickness_along(self.axis)
 
     def median_thickness_along(self, axis: Triple) -> float:
-        """Return the thickness along any axis in the median slice."""
+        """Return the median thickness of the slices along an axis in mm."""
         there = np.flatnonzero(self.body.any(axis=(1, 2)))
         slices = (replace(self.labels, values=self.labels.values[z : z + 1]) for z in there)
         extents = (extent_mm(one, axis) for one in slices)
@@ -95,7 +95,7 @@ class Scan:
 
     @property
     def voxel_mm(self) -> float:
-        """Return the longest side of a voxel."""
+        """Return the longest side of a voxel in mm."""
         return max(self.labels.spacing_mm)
 
     @property
@@ -105,7 +105,7 @@ class Scan:
 
     @cached_property
     def pieces_ml(self) -> list[float]:
-        """Return the volumes of the connected pieces, the largest first."""
+        """Return the volumes of the connected pieces in ml, largest first."""
         (x0, x1), (y0, y1), (z0, z1) = self.box
         pieces, count = label(self.body[z0 : z1 + 1, y0 : y1 + 1, x0 : x1 + 1])
         if count < 2:
@@ -115,7 +115,7 @@ class Scan:
 
     @cached_property
     def empty_slices(self) -> dict[str, list[int]]:
-        """Return the slices inside the body that show only air, by axis, counted from 1."""
+        """Return the empty slices inside the body by axis, counted from 1."""
         found: dict[str, list[int]] = {}
         for axis, line, (first, last) in zip(AXES, self._lines, self.box, strict=True):
             empty = [int(i) + 1 for i in np.flatnonzero(~line) if first < i < last]
@@ -127,8 +127,8 @@ class Scan:
     def sample(self) -> tuple[FloatArray, np.ndarray, FloatArray]:
         """Return centres of voxels of the body, their labels, and the step between them.
 
-        Centres have shape (n, 3) and are (x, y, z) in mm; of a fine scan every second or third
-        voxel along each axis is taken.
+        Centres have shape (n, 3) and are (x, y, z) in mm; fine scans are sampled at every second
+        or third voxel along each axis.
         """
         step = max(1, int(np.ceil((np.count_nonzero(self.body) / ENOUGH_VOXELS) ** (1 / 3))))
         coarse = self.labels.values[step // 2 :: step, step // 2 :: step, step // 2 :: step]
@@ -140,24 +140,24 @@ class Scan:
 
 @dataclass(frozen=True)
 class PlateLoad:
-    """A load between two plates, as a file states it.
+    """Load between two plates, as stated in a file.
 
     Parameters
     ----------
     where : str
-        Its place in the file, for messages.
+        Key in the file, for messages.
     axis : tuple of float
-        From the lower to the upper plate.
+        Direction from the lower to the upper plate.
     force_n : float or None
     starts_mm : (str, float, float) or None
-        Where the plates of a force start along the axis, and the key that says so; None where
-        they are taken from the scan at rest.
+        Key in the file, and initial positions of the plates along the axis; None if they are
+        taken from the scan at rest.
     initial_mm, distance_mm : float or None
-        Stated distances of the plates, before and under compression.
+        Stated distances between the plates, before and under compression.
     ends_mm : (float, float) or None
         Stated positions of the plates under compression.
     fixed : {"lower", "middle", "none"}
-        The end of the body that a force leaves in place.
+        End of the body that a force does not move.
     """
 
     where: str
@@ -172,16 +172,16 @@ class PlateLoad:
 
 @dataclass(frozen=True, eq=False)
 class BreastFacts:
-    """All that the checks of a study or a diagnosis look at.
+    """Input of the checks of a study or a diagnosis.
 
     Parameters
     ----------
     rest : Scan or None
-        The undeformed body; None where it is not at hand.
+        The undeformed body; None if it is not available.
     pressed : sequence of (Scan, PlateLoad)
         The scans under load.
     loads : sequence of PlateLoad
-        All loads, also of scans that are not at hand.
+        All loads, including those whose scans are not available.
     least_nu : float
         Least Poisson's ratio of the model.
     E_mpa : (float, float)
@@ -189,12 +189,12 @@ class BreastFacts:
     align_key : str
         The key that aligns the scans.
     aligned : bool
-        Whether the scans were aligned, so that their own frames do not matter.
+        Whether the scans were aligned, so that their original frames do not matter.
     swelling : float
-        Share of its volume by which the body may have changed between the scans.
+        Share by which the volume of the body may have changed between the scans.
     rigid_is_refused : bool
-        Whether a rigid motion between the scans contradicts the model; otherwise something in
-        the model may cause it.
+        Whether a rigid motion between the scans contradicts the model; otherwise the model may
+        cause it.
     """
 
     rest: Scan | None
@@ -209,5 +209,5 @@ class BreastFacts:
 
     @property
     def scans(self) -> list[Scan]:
-        """Return all scans that are at hand."""
+        """Return all available scans."""
         return [*([] if self.rest is None else [self.rest]), *(scan for scan, _ in self.pressed)]

@@ -1,9 +1,9 @@
 """YAML and JSON documents of plain values without repeated keys.
 
-Both parsers keep the last of two equal keys and silently drop the first, so a force that
-was typed twice would be halved or doubled. Every file, upload and request is
-parsed here, into dict, list, str, int, float, bool and None; other tags of YAML are refused,
-dates are texts. Nesting, whole numbers and the size that aliases stand for are bounded.
+Both parsers keep the last of two equal keys and silently drop the first, so a force that is
+stated twice could be wrong without notice. Every file, upload and request is parsed here, into
+dict, list, str, int, float, bool and None; other tags of YAML are refused, and dates are texts.
+Nesting, whole numbers and the expanded size of aliases are limited.
 """
 
 import json
@@ -16,9 +16,9 @@ from palpate.storage.errors import InputError
 
 DEEPEST = 100
 MOST_NODES = 2_000_000
-"""Most values of a document, with aliases expanded."""
+"""Maximum number of values in a document with expanded aliases."""
 LARGEST_INT = 2**63 - 1
-"""Number of bits of the seeds of blind cases."""
+"""Largest whole number; seeds of blind cases have as many bits."""
 _TAG = "tag:yaml.org,2002:"
 _MERGE, _DATE = f"{_TAG}merge", f"{_TAG}timestamp"
 _PLAIN = {f"{_TAG}{kind}" for kind in ("null", "bool", "int", "float", "str", "seq", "map")}
@@ -26,7 +26,7 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster
 
 
 class _RepeatedKeyError(Exception):
-    """Repeated key, with its place."""
+    """Repeated key, with its location."""
 
 
 class StrictLoader(_Loader):

@@ -23,9 +23,9 @@ _log = logging.getLogger(__name__)
 
 MIB = 2**20
 TEXT_BYTES = 16 * MIB
-"""Largest document: a study, a case, an experiment or a file of labels."""
+"""Maximum size of a document: a study, a case, an experiment or a file of labels."""
 _REASON = 300
-"""Most characters to show of a library's message."""
+"""Maximum number of characters shown of a library's message."""
 _allowed: ContextVar[Path | None] = ContextVar("folder that files may be in", default=None)
 
 
@@ -104,8 +104,8 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
         content = file.read(most_bytes + 1)
     if len(content) > most_bytes:
         raise InputError(
-            f"{path} has more than {most_bytes / MIB:g} MiB, the most that is read. Check that it "
-            "is the right file."
+            f"{path} is larger than {most_bytes / MIB:g} MiB, the limit for such a file. Check "
+            "that it is the right one."
         )
     return content
 

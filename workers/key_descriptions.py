@@ -1,4 +1,4 @@
-"""Descriptions of the keys of a file, from the models that check the files."""
+"""Descriptions of the keys of a file, from the models that validate it."""
 
 import inspect
 import re
@@ -11,9 +11,9 @@ _SECTION = re.compile(r"Parameters\n-+\n(?P<body>.*?)(?:\n\n[A-Z]\w+\n-+|\Z)", r
 
 
 def key_descriptions(model: type[BaseModel]) -> dict[str, str]:
-    """Return the descriptions of a model's keys, by the names of its fields.
+    """Return the descriptions of the keys of a model by field name.
 
-    They come from the field, or from the section "Parameters" of the class docstring.
+    They come from the fields, or from the section "Parameters" of the class docstrings.
     """
     found: dict[str, str] = {}
     for cls in reversed(model.__mro__):
@@ -38,7 +38,7 @@ def described_schema(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the models in an annotation, itself first."""
+    """Yield the models in an annotation, outer ones first."""
     if inspect.isclass(annotation) and issubclass(annotation, BaseModel):
         yield annotation
         for field in annotation.model_fields.values():

@@ -1,4 +1,4 @@
-"""Messages about required keys that a file leaves out or empty.
+"""Messages about required keys that are missing or empty.
 
 The text for a key is the ``description`` of its field.
 """
@@ -31,7 +31,7 @@ def without_empty_keys(model: type[BaseModel], data: Mapping[Any, Any]) -> dict[
 
 
 def is_missing(error: Mapping[str, Any]) -> bool:
-    """Check whether a pydantic error is about a required key that is missing or empty."""
+    """Return True if a pydantic error is about a missing or empty required key."""
     return error["type"] == MISSING or error["input"] is None
 
 
@@ -80,7 +80,7 @@ def missing_pairs(
 ) -> list[str]:
     """Return a line for each group of `model.exactly_one` without a key in `data`.
 
-    `empty` are keys without a value in the file, the ones that the user probably meant.
+    `empty` are the keys without a value in the file, which the user probably meant to fill in.
     """
     pairs: Pairs = getattr(model, "exactly_one", ())
     return [
@@ -93,8 +93,8 @@ def missing_pairs(
 def errors_with_pairs(error: ValidationError, model: type[BaseModel]) -> list[Mapping[str, Any]]:
     """Return the errors of pydantic, including missing groups of otherwise incomplete records.
 
-    Pydantic checks these groups only when all fields of a record are present, but a user wants
-    one complete list. A list that is too short only because its items are invalid is not an error.
+    Pydantic checks these groups only if all fields of a record are present, but users want one
+    complete list. A list that is too short only because its items are invalid is not an error.
     """
     found: list[Mapping[str, Any]] = [dict(e) for e in error.errors(include_url=False)]
     places = [e["loc"] for e in found]
@@ -127,7 +127,7 @@ def one_of(keys: Sequence[str]) -> str:
 
 
 def _none_of(model: type[BaseModel], keys: Sequence[str], empty: Collection[str]) -> str:
-    """Return the text for the first of `keys`, if that alone is empty, or for any of them."""
+    """Return the text about the first of `keys` if only that is empty, or else about all."""
     fields, (key, *others) = model.model_fields, keys
     if key in empty and not any(other in empty for other in others):
         return f"{key} is missing: {fields[key].description or key}; or give {' or '.join(others)}"

@@ -1,4 +1,4 @@
-"""Old names of keys, which files may still use instead of the names of a study.
+"""Old names of keys, which files may still use.
 
 A record in a store keeps its original names, because its digest depends on them;
 `with_current_names` reads both, and `with_recorded_names` writes the old ones.
@@ -24,7 +24,7 @@ DIAGNOSIS: Final[Mapping[str, str]] = MappingProxyType(
 """Keys of a diagnosis, by their old names; ``[]`` means each entry of a list."""
 
 SAME_FIBRES: Final = {"eta_glandular_kpa": "eta_fat_kpa"}
-"""Addition to ``eta_fat_kpa`` if one value, formerly ``eta_kpa``, applies to both tissues."""
+"""Addition to ``eta_fat_kpa`` if both tissues share one value, formerly ``eta_kpa``."""
 
 
 def with_current_names(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
@@ -78,7 +78,7 @@ def _copied(value: Any) -> Any:
 
 
 def _moved(tree: dict[str, Any], source: str, target: str) -> bool:
-    """Move values from one path to another; False if there is none, or both have one."""
+    """Move values between paths; return False if the source is empty or the target is not."""
     *above, name = source.split(".")
     *inside, new = target.split(".")
     moved = False
@@ -93,7 +93,7 @@ def _moved(tree: dict[str, Any], source: str, target: str) -> bool:
 
 
 def _places(value: Any, path: list[str]) -> Iterator[dict[Any, Any]]:
-    """Return the mappings at a path."""
+    """Yield the mappings at a path."""
     if not path:
         if isinstance(value, dict):
             yield value

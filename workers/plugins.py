@@ -1,4 +1,4 @@
-"""Plug-ins by name: organs, effects, laws, scores, searches, sources, exporters.
+"""Plug-ins by name: organs, effects, laws, scores, searches, sources and exporters.
 
 Each is an entry point of an installed distribution, Palpate's own among them::
 
@@ -45,7 +45,7 @@ class Plugin:
 
     @property
     def is_own(self) -> bool:
-        """Whether it is Palpate's own."""
+        """Whether the plug-in is part of Palpate."""
         return self.distribution == OWN
 
     @property
@@ -97,7 +97,7 @@ def plugin(group: Group, name: str) -> Plugin:
     Raises
     ------
     InputError
-        If there is none of that name; close names are suggested.
+        If there is none; similar names are suggested.
     """
     known = plugins(group)
     if name not in known:

@@ -1,7 +1,7 @@
 """Resources of a worker process: one thread for each evaluation, and a bounded cache.
 
-This is the only module of the package that uses Dask. It works the same in other processes
-than Dask workers.
+This is the only module of the package that uses Dask. It also works in processes that are not
+Dask workers.
 """
 
 import logging
@@ -43,7 +43,7 @@ class OneThread(WorkerPlugin):
         if os.environ.get("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS")) != "1":
             _log.warning(
                 "The worker %s was started without OMP_NUM_THREADS=1 and OPENBLAS_NUM_THREADS=1: "
-                "evaluations side by side may slow each other down. Set them where it is started.",
+                "parallel evaluations may slow each other down. Set them where it is started.",
                 worker.name,
             )
         os.environ.update(WORKER_ENVIRONMENT)
@@ -102,7 +102,7 @@ class Cache:
 
     @property
     def used_bytes(self) -> int:
-        """Return the present size of the arrays of all values, which may grow after creation."""
+        """Return the current size of the arrays of all values, which may grow after creation."""
         return size_bytes(list(self._values.values()))
 
     def __len__(self) -> int:

@@ -152,7 +152,7 @@ class CaseSpec(Door):
 
     @abstractmethod
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
-        """Return all constants in inside names and units: given, else the case's, else neutral.
+        """Return all constants in inside names and units: given, stated in the case, or neutral.
 
         Raises
         ------
@@ -265,7 +265,7 @@ class ScoreSpec(Door):
 
     @property
     def extent(self) -> tuple[str, str]:
-        """Return the words for overlap and for distance."""
+        """Return the words for overlap and distance."""
         return "area", "contours"
 
 
@@ -282,7 +282,7 @@ def validated(model: type[Record], data: Any, where: str = "") -> Record:
     data : mapping
         Content of YAML or JSON.
     where : str, optional
-    Name of the file, for the message.
+        Name of the file, for the message.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def explain(error: ValidationError, model: type[BaseModel] = BaseModel) -> str:
     return "\n".join(_line(e, model) for e in errors_with_pairs(error, model))
 
 
-# Lists that refer to lists can exceed any memory when expanded.
+# Lists that refer to lists can exhaust memory when expanded.
 _SHORT = reprlib.Repr()
 _SHORT.maxdict = _SHORT.maxlist = _SHORT.maxtuple = 10
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 60, 60

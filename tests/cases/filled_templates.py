@@ -26,7 +26,7 @@ FILES["breast-images"] = ("case.reference.volume", "target.volume")
 
 
 def filled(kind: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the template of a kind with values at dotted paths."""
+    """Return a template with values inserted at dotted paths."""
     data: dict[str, Any] = yaml.safe_load(template(kind, "mine"))
     for path, value in values.items():
         *parents, last = path.split(".")
@@ -39,14 +39,14 @@ def filled(kind: str, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def required(kind: str, force_n: float) -> dict[str, Any]:
-    """Return the required keys of a kind with scans: two files and the force."""
+    """Return values of the required keys of a template: two files and the force."""
     rest, pressed = FILES[kind]
     load = "case.load.force_n" if kind == "breast-images" else "scans.loads.0.force_n"
     return {rest: "rest.nrrd", pressed: "pressed.nrrd", load: force_n}
 
 
 def small_breast() -> Volume:
-    """Return a breast of fat and glandular tissue alone."""
+    """Return a breast of fat and glandular tissue only."""
     labels = generate_breast(SMALL, seed=5).labels
     values = np.where(labels.values == Tissue.GLANDULAR, 2, labels.values > 0)
     return Volume(values.astype(np.uint8), labels.spacing_mm, labels.origin_mm)

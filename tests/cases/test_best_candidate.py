@@ -1,4 +1,4 @@
-"""The best candidate of a study is the same wherever it is reported."""
+"""Consistency of the best candidate of a study across all outputs."""
 
 import math
 from collections.abc import Mapping
@@ -47,7 +47,7 @@ seed: 7
 
 
 class NearMisses(Inline):
-    """Gives every candidate but the first the worse GSF the better its sum of squares is."""
+    """Dispatcher that gives lower sums of squares a worse GSF."""
 
     def run(self, task: Any, calls: Any) -> Any:
         for ending in super().run(task, calls):
@@ -74,7 +74,7 @@ def by_candidate(*records: EvaluationRecord) -> Mapping[int, EvaluationRecord]:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A study by least squares, in whose journal the lowest GSF is not the least sum."""
+    """Run a least-squares study in which the lowest GSF and the lowest sum differ."""
     folder = tmp_path_factory.mktemp("best") / "runs" / "demo"
     run(folder, NearMisses(), small_spec(LEAST_SQUARES))
     return folder
@@ -97,14 +97,14 @@ def test_least_squares_ranks_by_the_sum_of_squares() -> None:
     assert best.candidate == 1
 
 
-def test_a_genetic_search_ranks_by_gsf_and_takes_the_first_of_equals() -> None:
+def test_genetic_search_ranks_by_gsf_then_by_number() -> None:
     endings = by_candidate(evaluation(2, -2.0), evaluation(1, -2.0), evaluation(0, -1.0))
     best = best_of(endings)
     assert best is not None
     assert best.candidate == 1
 
 
-def test_coarser_resolutions_count_only_until_the_own_one_has_a_score() -> None:
+def test_coarse_resolutions_count_only_without_full_resolution_scores() -> None:
     coarse = [evaluation(0, -9.0, 1.0, level=0), evaluation(1, -8.0, 2.0, level=1)]
     best = best_of(by_candidate(*coarse))
     assert best is not None
@@ -114,7 +114,7 @@ def test_coarser_resolutions_count_only_until_the_own_one_has_a_score() -> None:
     assert best.candidate == 2
 
 
-def test_a_polished_study_knows_the_best_of_its_genetic_part() -> None:
+def test_best_of_the_genetic_stage_is_kept_after_polishing() -> None:
     endings = by_candidate(evaluation(0, -2.0), evaluation(1, -1.5), evaluation(2, -1.0, 3.0))
     best, searched = best_of(endings), best_searched(endings)
     assert best is not None
@@ -129,7 +129,7 @@ def test_failures_are_never_best() -> None:
     assert rank_of_line(crashed.to_json()) is None
 
 
-def test_a_line_of_the_journal_ranks_as_its_record() -> None:
+def test_journal_lines_rank_like_records() -> None:
     records = [
         evaluation(0, -math.inf),
         evaluation(1, -2.0, 5.0),
@@ -138,7 +138,7 @@ def test_a_line_of_the_journal_ranks_as_its_record() -> None:
     assert [rank_of_line(r.to_json()) for r in records] == [rank_of(r) for r in records]
 
 
-def test_the_order_of_arrival_does_not_matter() -> None:
+def test_best_is_independent_of_the_order_of_arrival() -> None:
     records = [evaluation(c, gsf, cost) for c, gsf, cost in ((0, -3, 9), (1, -1, 2), (2, -2, 2))]
     found = []
     for order in (records, records[::-1]):
@@ -160,7 +160,7 @@ def test_the_note_names_both_candidates_with_both_numbers() -> None:
     assert best_so_far([evaluation(4, -2.25), evaluation(7, -1.5)]).note == ""
 
 
-def test_results_show_and_json_agree(folder: Path, expected: EvaluationRecord) -> None:
+def test_results_and_json_agree(folder: Path, expected: EvaluationRecord) -> None:
     results = study_results(folder)
     assert results.best is not None
     assert results.best.candidate == expected.candidate
@@ -171,10 +171,12 @@ def test_results_show_and_json_agree(folder: Path, expected: EvaluationRecord) -
     assert record["lowest_gsf"]["candidate"] != expected.candidate
     assert record["best_note"].startswith(f"Candidate {expected.candidate} is best because")
     last = [g for g in record["generations"] if expected.candidate == g.get("best_candidate")]
-    assert len(last) == 1  # its own generation names it, too
+    assert len(last) == 1  # its own generation also names it
 
 
-def test_the_end_of_the_journal_agrees(folder: Path, expected: EvaluationRecord) -> None:
+def test_end_of_the_journal_has_the_best_candidate(
+    folder: Path, expected: EvaluationRecord
+) -> None:
     _, log = read_study(folder)
     assert log.end is not None
     assert log.end.best == expected.candidate
@@ -182,7 +184,7 @@ def test_the_end_of_the_journal_agrees(folder: Path, expected: EvaluationRecord)
     assert log.identification.candidate == expected.candidate
 
 
-def test_the_diagnosis_of_a_study_starts_from_it(
+def test_diagnosis_of_a_study_starts_from_the_best_candidate(
     folder: Path, expected: EvaluationRecord, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Bodies:
@@ -197,7 +199,7 @@ def test_the_diagnosis_of_a_study_starts_from_it(
     assert study.best == expected.genes
 
 
-def test_the_service_agrees_after_every_line(folder: Path, expected: EvaluationRecord) -> None:
+def test_live_progress_has_the_best_candidate(folder: Path, expected: EvaluationRecord) -> None:
     best = JobProgress(folder).update().best
     assert best is not None
     assert best.candidate == expected.candidate
@@ -210,7 +212,9 @@ def test_the_service_agrees_after_every_line(folder: Path, expected: EvaluationR
             assert lines.note == ranked.note
 
 
-def test_the_terminal_and_the_report_name_it(folder: Path, expected: EvaluationRecord) -> None:
+def test_terminal_and_report_name_the_best_candidate(
+    folder: Path, expected: EvaluationRecord
+) -> None:
     text = StringIO()
     progress = PlainProgress(Console(file=text, width=200))
     run(folder, Inline(), small_spec(LEAST_SQUARES), observers=[progress])
@@ -223,7 +227,7 @@ def test_the_terminal_and_the_report_name_it(folder: Path, expected: EvaluationR
     assert f"Candidate {expected.candidate} is best because" in out.getvalue()
 
 
-def test_the_dashboard_shows_its_score(folder: Path, expected: EvaluationRecord) -> None:
+def test_dashboard_shows_the_best_score(folder: Path, expected: EvaluationRecord) -> None:
     sent: list[dict[str, Any]] = []
     client: Any = type("Client", (), {"loop": None, "id": "c"})()
     records = DaskRecords(client)

@@ -1,4 +1,4 @@
-"""A key that is repeated is refused in every YAML and JSON entrance."""
+"""Rejection of repeated keys in all YAML and JSON input."""
 
 import asyncio
 import json

@@ -1,4 +1,4 @@
-"""Magnitudes are shown with a unit, a 90 % interval and the model's value, never as logarithms."""
+"""Display of magnitudes: unit, 90 % interval and the value in the model, never a logarithm."""
 
 import io
 import math
@@ -61,9 +61,7 @@ def text(name: str, value: float, sd: float, nu: float | None = 0.49) -> str:
         ("jet_pressure_part", math.log(0.8), 0.05, "0.80 times the stated pressure (0.74 to 0.87"),
     ],
 )
-def test_a_magnitude_is_shown_in_the_units_that_a_reader_thinks_in(
-    name: str, value: float, sd: float, expected: str
-) -> None:
+def test_magnitudes_have_familiar_units(name: str, value: float, sd: float, expected: str) -> None:
     assert text(name, value, sd).startswith(expected)
 
 
@@ -85,7 +83,7 @@ def test_no_parameter_is_shown_as_a_logarithm(name: str) -> None:
     assert said.unit or said.name
 
 
-def test_the_shown_value_is_what_the_effect_does_to_nu() -> None:
+def test_shown_poisson_ratio_equals_the_applied_one() -> None:
     from palpate.workers.mechanics.effects.material import COMPRESSIBILITY
     from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
     from palpate.workers.mechanics.fem.problem.fields import Frame
@@ -98,7 +96,7 @@ def test_the_shown_value_is_what_the_effect_does_to_nu() -> None:
 
 
 def with_gravity(probability: float) -> Summary:
-    """Return a diagnosis of a weight that is shown as a reader thinks of it."""
+    """Return a diagnosis of a missing weight, in multiples of gravity."""
     found: Summary = from_json(Summary, summary())
     lead = ShownMagnitude(0.7512, 0.669, 0.833, 0.0, "times gravity along z")
     gravity = replace(found.effects[-1], name="gravity_change", probability=probability, shown=lead)
@@ -112,7 +110,7 @@ def printed(found: Summary) -> str:
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
-def test_the_headline_names_unit_interval_and_the_value_of_the_model() -> None:
+def test_headline_has_unit_interval_and_model_value() -> None:
     assert (
         "gravity change (0.75 times gravity along z, 0.67 to 0.83, model: 0, probability > 99 %)"
     ) in headline(with_gravity(0.9956))
@@ -124,7 +122,7 @@ def test_the_terminal_explains_why_probabilities_add_up_to_more_than_one() -> No
     assert "0.75 times gravity along z (0.67 to 0.83; model: 0)" in said
 
 
-def test_json_has_shown_and_fitted_values() -> None:
+def test_json_has_displayed_and_fitted_values() -> None:
     found = with_gravity(0.9956)
     record: Any = to_json(found)
     shown_effect = record["effects"][-1]
@@ -134,7 +132,7 @@ def test_json_has_shown_and_fitted_values() -> None:
     assert from_json(Summary, record) == found
 
 
-def test_a_record_of_an_earlier_version_is_shown_with_its_deviation() -> None:
+def test_older_records_are_shown_with_a_standard_deviation() -> None:
     row = tables.effects(
         from_json(
             Summary,
@@ -147,7 +145,7 @@ def test_a_record_of_an_earlier_version_is_shown_with_its_deviation() -> None:
     assert row.magnitudes == (("a", "5.48 ± 0.27 mm"),)
 
 
-def test_the_table_of_effects_shows_bayes_factors_not_their_logarithms() -> None:
+def test_table_shows_bayes_factors_without_logarithms() -> None:
     row = tables.effects(from_json(Summary, summary()).effects, ())[0]
     assert row.factor == "> 1000"
     assert [bayes_factor(v) for v in (0.0, 3.0, -3.0)] == ["1.0", "20", "0.050"]
@@ -173,5 +171,5 @@ def test_a_number_that_rounds_up_has_no_power_of_ten(value: float, digits: int) 
     assert number(value, digits) == f"{value:.0f}"
 
 
-def test_every_searched_parameter_of_a_study_has_a_unit_that_names_it() -> None:
+def test_parameters_with_a_unit_are_shown_unconverted() -> None:
     assert all(p.reading.kind == "as is" for p in BREAST_MODEL if p.unit.symbol)

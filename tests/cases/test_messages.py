@@ -1,4 +1,4 @@
-"""Messages about workers, scripts and file systems with advice."""
+"""Error messages about workers, scripts and file systems."""
 
 import errno
 import fcntl
@@ -44,7 +44,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-def test_a_worker_without_palpate_is_named_with_what_to_install(tmp_path: Path) -> None:
+def test_error_for_a_worker_without_palpate_advises_installation(tmp_path: Path) -> None:
     script = tmp_path / "bare.py"
     script.write_text(BARE_WORKER)
     command = [sys.executable, str(script)]
@@ -87,7 +87,7 @@ def test_another_version_of_palpate_is_recognised(error: Exception) -> None:
         raise_if_foreign(error)
 
 
-def test_the_cause_of_an_error_counts_too() -> None:
+def test_missing_palpate_is_recognised_in_the_cause_of_an_error() -> None:
     with pytest.raises(ClusterError, match="have no Palpate"), explained_imports():
         try:
             raise ModuleNotFoundError("No module named 'workers'")
@@ -105,7 +105,7 @@ def test_other_worker_errors_are_unchanged() -> None:
         raise OSError("connection refused")
 
 
-def test_a_script_without_main_guard_is_refused_before_a_process_starts(tmp_path: Path) -> None:
+def test_rejects_a_script_without_a_main_guard(tmp_path: Path) -> None:
     script = tmp_path / "fit.py"
     script.write_text(
         "from palpate.service.cluster.main_guard import check_main_guard\n\ncheck_main_guard()\n"
@@ -133,14 +133,12 @@ GUARDED = 'def main():\n    run()\n\nif __name__ == "__main__":\n    main()\n'
         ("with open(\n", 1, False),
     ],
 )
-def test_only_a_script_that_is_sure_to_run_again_is_refused(
-    text: str, line: int, unguarded: bool
-) -> None:
+def test_rejects_only_scripts_certain_to_run_again(text: str, line: int, unguarded: bool) -> None:
     assert is_unguarded(text, line) is unguarded
 
 
 @pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
-def test_a_file_system_without_locks_is_named(
+def test_error_for_a_file_system_without_locks(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fcntl, "flock", _refusing(number))
@@ -168,11 +166,11 @@ def _refusing(number: int) -> Callable[..., None]:
         (errno.EINVAL, "Choose another place"),
     ],
 )
-def test_a_failed_write_has_advice_that_fits(number: int, advice: str) -> None:
+def test_failed_writes_have_specific_advice(number: int, advice: str) -> None:
     assert advice in hint(OSError(number, "no"))
 
 
-def test_a_read_only_store_is_not_called_full() -> None:
+def test_read_only_store_is_not_reported_as_full() -> None:
     with pytest.raises(StoreError, match="file system is read-only") as caught:
         raise_if_store(OSError(errno.EROFS, "Read-only file system"))
     assert "Free some" not in str(caught.value)
@@ -181,7 +179,7 @@ def test_a_read_only_store_is_not_called_full() -> None:
 
 
 @pytest.mark.parametrize("workers", [0, -1])
-def test_python_gets_the_name_of_its_own_argument(workers: Any) -> None:
+def test_python_error_names_the_python_argument(workers: Any) -> None:
     with (
         pytest.raises(InputError, match=f"workers={workers}: at least one worker is needed"),
         open_cluster(workers=workers),

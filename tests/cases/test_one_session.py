@@ -1,4 +1,4 @@
-"""Every way in runs a study with the same checks, log and page, and stops at Ctrl-C."""
+"""Checks, log, page and Ctrl-C of a study, for all interfaces."""
 
 import os
 import signal
@@ -32,7 +32,7 @@ IN_PASCAL = SPEC.replace("E_fat_kpa: [5, 20]", "E_fat_kpa: [5000, 20000]")
 
 
 class Stopped(Inline):
-    """A stop request after a number of endings."""
+    """Dispatcher that requests a stop after a number of endings."""
 
     def __init__(self, after: int) -> None:
         self.left = after
@@ -60,10 +60,10 @@ def study(folder: Path, text: str = SPEC) -> Study:
     return Study(small_spec(text), folder, tasks=TASKS)
 
 
-# What an entrance does
+# Common behaviour of all interfaces
 
 
-def test_a_new_study_is_checked_before_workers_are_opened(tmp_path: Path) -> None:
+def test_new_studies_are_checked_before_workers_start(tmp_path: Path) -> None:
     @contextmanager
     def never() -> Iterator[Session]:
         raise AssertionError("opened")
@@ -82,7 +82,7 @@ def test_warnings_reach_the_user_and_the_log(tmp_path: Path) -> None:
     assert study(tmp_path / "demo", IN_PASCAL).ended
 
 
-def test_log_and_page_are_written_whatever_the_end(tmp_path: Path) -> None:
+def test_log_and_page_are_written_after_interruption_and_completion(tmp_path: Path) -> None:
     folder = tmp_path / "demo"
     pages: list[bool] = []
     entrance = Entrance(write_page=lambda folder, quick: pages.append(quick))
@@ -96,7 +96,7 @@ def test_log_and_page_are_written_whatever_the_end(tmp_path: Path) -> None:
     assert "stopped: all 5 generations are done" in StudyLayout(folder).log.read_text()
 
 
-def test_a_crash_of_all_candidates_names_the_log_with_its_traceback(tmp_path: Path) -> None:
+def test_crash_of_all_candidates_refers_to_the_log(tmp_path: Path) -> None:
     folder = tmp_path / "demo"
     with pytest.raises(GenerationCrashError, match=r"Its traceback is in .*palpate\.log"):
         run_study(study(folder), at_hand(Crashing()), Entrance())
@@ -121,10 +121,10 @@ def test_logs_of_parallel_studies_do_not_mix(tmp_path: Path) -> None:
         assert f"{other} runs on" not in text
 
 
-# The entrances
+# Each interface
 
 
-def test_the_service_checks_a_new_study_and_takes_anyway(tmp_path: Path) -> None:
+def test_service_checks_new_studies_unless_overridden(tmp_path: Path) -> None:
     spec = small_spec(IN_PASCAL)
     store, opened = tmp_path / "store", Session(Inline())  # type: ignore[arg-type]
     with pytest.raises(InputError, match="known interval"):
@@ -180,7 +180,7 @@ def press_ctrl_c() -> None:
     os.kill(os.getpid(), signal.SIGINT)
 
 
-def test_the_first_ctrl_c_is_a_request_and_the_second_interrupts() -> None:
+def test_first_ctrl_c_requests_a_stop_and_second_interrupts() -> None:
     before = signal.getsignal(signal.SIGINT)
     with stop_requests() as requests:
         press_ctrl_c()
@@ -190,7 +190,7 @@ def test_the_first_ctrl_c_is_a_request_and_the_second_interrupts() -> None:
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_nested_requests_are_the_same_and_respect_handlers_of_others() -> None:
+def test_nested_requests_are_shared_and_keep_foreign_handlers() -> None:
     with stop_requests() as outer, stop_requests(respect_handlers=True) as inner:
         assert inner is outer
     heard: list[int] = []
@@ -241,7 +241,7 @@ def interruptible_exit() -> Iterator[None]:
         ),
     ],
 )
-def test_long_commands_stop_at_ctrl_c_with_how_to_continue(
+def test_long_commands_stop_at_ctrl_c_and_can_be_continued(
     command: list[str],
     work: str,
     tmp_path: Path,

@@ -1,4 +1,4 @@
-"""The six questions before a number is shown (CASES 5), and the answers of the one rule."""
+"""Rules for quotable estimates, for studies, corneas and diagnoses."""
 
 import math
 from dataclasses import replace
@@ -69,7 +69,7 @@ def test_a_good_estimate_is_quotable() -> None:
         ({"value": math.nan}, "nothing was estimated"),
     ],
 )
-def test_every_question_has_its_reason(changed: dict[str, Any], reason: str) -> None:
+def test_each_failed_criterion_has_a_reason(changed: dict[str, Any], reason: str) -> None:
     assert any(one.startswith(reason) for one in reasons(**changed)), reasons(**changed)
 
 
@@ -87,7 +87,7 @@ def test_withholds_the_interval_of_a_search_that_has_not_converged() -> None:
 
 
 def fit(gradient: tuple[float, float] = (0.0, 0.0), **changed: Any) -> FitJson:
-    """Return a problem with standard deviations of 1 % and 5 %, residuals as the noise."""
+    """Return a fit with standard deviations of 1 % and 5 % and residuals at the noise level."""
     found: dict[str, Any] = {
         "parameters": list(BOUNDS),
         "logarithmic": [True, True],
@@ -115,7 +115,7 @@ def studied(found: Identification, **changed: Any) -> StudyResults:
     return results(estimates=estimates, identification=found, **changed).judged
 
 
-def test_a_truth_outside_the_searched_interval_ends_at_its_bound() -> None:
+def test_estimate_at_a_bound_is_not_quotable() -> None:
     """E_fat is searched from 12 to 20 kPa and is 10 kPa: the search ends at 12 kPa."""
     bounds = BOUNDS | {"E_fat": (0.012, 0.020)}
     problem = fit(gradient=(2000.0, 0.0), values=[0.012, 0.1])
@@ -150,8 +150,8 @@ def test_a_fit_no_better_than_the_undeformed_body_has_no_estimate() -> None:
         assert "the best fit is no better than the undeformed body" in estimate.reasons
 
 
-def test_a_step_that_leaves_the_interval_withholds_it() -> None:
-    """Gauss' step is 10 %, ten standard deviations: the best candidate is not the optimum."""
+def test_a_step_out_of_the_interval_withholds_the_interval() -> None:
+    """The Gauss-Newton step is ten standard deviations: the best candidate is not the optimum."""
     found = studied(identified(fit(gradient=(-1000.0, 0.0))))
     for estimate in found.estimates.values():
         assert estimate.interval is None
@@ -160,7 +160,7 @@ def test_a_step_that_leaves_the_interval_withholds_it() -> None:
     assert record["identification"]["constants"]["E_fat"]["interval"] is None
 
 
-def test_a_residual_above_the_noise_widens_and_far_above_it_is_named() -> None:
+def test_residual_above_the_noise_widens_intervals_and_is_reported() -> None:
     one = identified(fit()).constants["E_fat"].interval
     three = identified(fit(cost=9 * 200.0)).constants["E_fat"].interval
     assert one is not None
@@ -185,7 +185,7 @@ FORCE = Nuisance("ln_plate_force", "the force", 0.08, -1.0, 1.0, always=True)
 
 
 def with_nuisance(name: str, gradient: float, shared: float = 1000.0) -> FitJson:
-    """Return the problem with a nuisance that moves the residuals as E_fat does, in part."""
+    """Return the fit with a nuisance parameter that is correlated with E_fat."""
     hessian = [[1e4, 0.0, shared], [0.0, 400.0, 0.0], [shared, 0.0, 500.0]]
     parameters = [*BOUNDS, name]
     return fit(
@@ -218,7 +218,7 @@ def test_a_collapsed_element_contradicts_all_estimates(squeezed: bool) -> None:
     assert (clause in again.squeezed_note) is squeezed
 
 
-def test_a_scan_in_place_leaves_the_intervals_as_they_are() -> None:
+def test_correctly_placed_scan_does_not_change_intervals() -> None:
     others = OtherProblems(with_nuisance("motion_x", 0.0), (PLACE,))
     alone, beside = identified(fit()), identified(fit(), others)
     assert beside.supported == ()
@@ -228,19 +228,19 @@ def test_a_scan_in_place_leaves_the_intervals_as_they_are() -> None:
     assert other.upper / one.upper < 1.01
 
 
-def test_the_force_always_counts() -> None:
-    """A force that is 8 % too high makes a stiffness 8 % too high, whatever the residual."""
+def test_force_error_is_always_included() -> None:
+    """A force that is 8 % too high gives a stiffness that is 8 % too high, at any residual."""
     others = OtherProblems(with_nuisance("ln_plate_force", 0.0, -1e4), (FORCE,))
     others_fit = others.nuisances
     assert others_fit is not None
-    others_fit["hessian"][2][2] = 1e4  # the same change of the residuals: unseen
+    others_fit["hessian"][2][2] = 1e4  # the same change of the residuals: not identifiable
     found = identified(fit(), others)
     assert found.constants["E_fat"].errors["the force"] == pytest.approx(0.8, rel=1e-3)
     assert studied(found).estimates["E_fat"].quotable
 
 
 def test_an_interval_contains_the_error_of_the_mesh() -> None:
-    """On another mesh the optimum is 3 % higher: so much may the study's own be off."""
+    """On another mesh the optimum is 3 % higher, which is the possible error of the study."""
     mesh = fit(gradient=(-300.0, 0.0))
     others = OtherProblems(meshes=[{"nodes": 6000, "fit": mesh}])
     constant = identified(fit(), others).constants["E_fat"]
@@ -273,7 +273,7 @@ def eye(g0_bound: float, mu2_bound: float, not_measured: tuple[str, ...] = ()) -
     }
 
 
-def test_a_constant_of_a_cornea_that_its_own_page_calls_unknown_is_not_quotable() -> None:
+def test_undetermined_constant_of_a_cornea_is_not_quotable() -> None:
     found = identified(fit())
     said = against(eye(0.1, 0.9))
     assert said["alpha2"] == []
@@ -286,7 +286,7 @@ def test_a_constant_of_a_cornea_that_its_own_page_calls_unknown_is_not_quotable(
 
 
 def with_shear_modulus(**more: Any) -> StudyResults:
-    """Return a study of a G0 that grows as E_fat does, which is known to 1 %."""
+    """Return a study with a G0 proportional to E_fat, which is known to 1 %."""
     g0 = {"name": "G0", "value": 50.0, "unit": "kPa", "slope": {"E_fat": 1.0}, "against": []}
     found = [g0 | {"mesh_shift": None, "mesh_sd": None} | more]
     known = identification_from_tangents(SearchedConstants(BREAST, BOUNDS), 0, fit(), None, found)
@@ -302,7 +302,7 @@ def test_the_shear_modulus_of_a_cornea_has_an_interval() -> None:
 
 
 def test_shear_modulus_interval_includes_the_mesh_error() -> None:
-    """The mesh raises G0 by 3 %: the truth is lower by that, to a quarter of it."""
+    """The mesh raises G0 by 3 %, with a standard deviation of a quarter of that."""
     (g0,) = derived_estimates(with_shear_modulus(mesh_shift=0.03, mesh_sd=0.0075))
     reach = 1.6449 * math.hypot(0.01, 0.0075)
     assert g0.interval == pytest.approx((50 * math.exp(-0.03 - reach), 50 * math.exp(reach)))
@@ -362,7 +362,7 @@ def test_a_diagnosis_that_fits_no_better_than_the_body_at_rest_has_no_estimate()
 
 
 def test_intervals_cover_the_truth_of_linear_problems_with_a_hidden_force() -> None:
-    """Where a force is off by 8 %, nine in ten intervals contain the true stiffness."""
+    """With a force error of 8 %, 90 % of the intervals contain the true stiffness."""
     rng = np.random.default_rng(1)
     held = 0
     draws = 400

@@ -1,4 +1,4 @@
-"""A finished study stays readable when the search that found it has changed."""
+"""Reading finished studies after changes of the search."""
 
 import sys
 from pathlib import Path
@@ -21,7 +21,7 @@ CMA = SPEC.replace("  population: 12", "  strategy: cma\n  population: 12")
 
 
 def everything_of(folder: Path) -> dict[str, Any]:
-    """All that status, report, show, page and Python read."""
+    """Return everything read by `status`, `report`, `show`, the page and Python."""
     study = study_json(study_results(folder))
     last = study["generations"][-1]["number"] * 12 - 1
     shown = [candidate_json(candidate_results(folder, number)) for number in (None, 0, 13, last)]
@@ -35,7 +35,7 @@ def everything_of(folder: Path) -> dict[str, Any]:
     }
 
 
-def test_everything_reads_after_a_mutation_step_has_changed(
+def test_studies_are_readable_after_a_change_of_the_mutation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "runs" / "demo"
@@ -59,7 +59,9 @@ def test_everything_reads_after_a_mutation_step_has_changed(
     assert journal.read_text() == "".join(cut)
 
 
-def test_a_cma_study_reads_without_cma(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cma_studies_are_readable_without_cma(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "runs" / "demo"
     run(folder, Inline(), small_spec(CMA))
     before = everything_of(folder)

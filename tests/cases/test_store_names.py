@@ -1,4 +1,4 @@
-"""Names of imported images can be removed, and no study loses what it needs."""
+"""Removal of named images from a store, and protection of those used by studies."""
 
 import json
 from pathlib import Path
@@ -53,7 +53,7 @@ def test_rm_of_an_unknown_name_removes_nothing(
     assert has_volume(store, "aaaa")
 
 
-def test_rm_refuses_what_a_study_needs_unless_it_is_forced(
+def test_rm_refuses_volumes_used_by_studies_unless_forced(
     store: Store, capsys: pytest.CaptureFixture[str]
 ) -> None:
     save(store, "aaaa", "patient")

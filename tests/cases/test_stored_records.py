@@ -1,4 +1,4 @@
-"""A digit that flips in what is stored is found, wherever it is."""
+"""Detection of flipped digits in stored records."""
 
 import random
 import re
@@ -33,7 +33,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def flips(text: str, seed: int, count: int = FLIPS) -> list[str]:
-    """Return copies of a text, each with another digit in another place."""
+    """Return copies of a text, each with one digit changed."""
     random_ = random.Random(seed)
     places = [match.start() for match in re.finditer(r"\d", text)]
     chosen = random_.sample(places, min(count, len(places)))
@@ -43,7 +43,7 @@ def flips(text: str, seed: int, count: int = FLIPS) -> list[str]:
     ]
 
 
-def test_a_flipped_digit_in_a_journal_line_is_found(folder: Path, tmp_path: Path) -> None:
+def test_detects_a_flipped_digit_in_the_journal(folder: Path, tmp_path: Path) -> None:
     text = StudyLayout(folder).journal.read_text()
     found = 0
     for flipped in flips(text, seed=1):
@@ -55,7 +55,7 @@ def test_a_flipped_digit_in_a_journal_line_is_found(folder: Path, tmp_path: Path
     assert found == FLIPS
 
 
-def test_a_flipped_digit_in_each_field_of_a_journal_line_is_found(folder: Path) -> None:
+def test_detects_a_flipped_digit_in_each_field_of_a_line(folder: Path) -> None:
     line = StudyLayout(folder).journal.read_text().splitlines()[3]
     record = loads(line)
     assert KEY in record
@@ -66,7 +66,7 @@ def test_a_flipped_digit_in_each_field_of_a_journal_line_is_found(folder: Path) 
                 unseal(line.replace(written, flipped))
 
 
-def test_a_flipped_digit_in_an_evaluation_is_found(folder: Path) -> None:
+def test_detects_a_flipped_digit_in_an_evaluation(folder: Path) -> None:
     store = open_store(folder.parent / "store")
     evaluation = next(Path(str(store.layout.evaluations)).glob("*.json"))
     text = evaluation.read_text()
@@ -82,11 +82,11 @@ def test_a_flipped_digit_in_an_evaluation_is_found(folder: Path) -> None:
 
 
 def damage_of(store: Store, path: Path) -> str:
-    """Return what `palpate store check` finds wrong with a file."""
+    """Return the damages of a file reported by `palpate store check`."""
     return " ".join(d.reason for d in check_store(store).damages if d.path == path)
 
 
-def test_a_flipped_digit_in_the_description_of_arrays_is_found(tmp_path: Path) -> None:
+def test_detects_a_flipped_digit_in_the_description_of_arrays(tmp_path: Path) -> None:
     path = place_of(tmp_path / "group.zarr")
     save_arrays(path, {"values": np.arange(3.0)}, {"spacing_mm": [0.5, 0.25, 1.0], "n": 12})
     description = tmp_path / "group.zarr" / "zarr.json"
@@ -105,9 +105,7 @@ def _same_meta(one: str, other: str) -> bool:
     return numbers[0] == numbers[1]
 
 
-def test_a_journal_without_checksums_can_be_read_and_is_marked(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_journal_without_checksums_is_readable_and_unverified(folder: Path, tmp_path: Path) -> None:
     old = tmp_path / "runs" / "demo"
     old.mkdir(parents=True)
     lines = [loads(line) for line in StudyLayout(folder).journal.read_text().splitlines()]
@@ -124,7 +122,7 @@ def _as_before(line: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in line.items() if key != KEY}
 
 
-def test_the_checksum_covers_digits_that_are_read_as_the_same_number() -> None:
+def test_checksum_covers_the_text_of_numbers() -> None:
     """0.1 and 0.10000000000000001 are one float, but not one text."""
     sealed = seal(dumps({"score": 0.1}))
     assert loads(sealed.replace("0.1", "0.10000000000000001")) == loads(sealed)

@@ -1,4 +1,4 @@
-"""Templates of `palpate new` hold no live values; one message lists what is missing."""
+"""Templates of `palpate new`, and the message that lists their missing keys."""
 
 import re
 from collections.abc import Callable
@@ -47,7 +47,7 @@ RECORDS: dict[str, type[Door]] = {"diagnosis": CaseFile, "experiment": SpecimenS
 def command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Command:
-    """Run a command in an empty folder: exit code and all that it prints."""
+    """Return a function that runs a command in an empty folder: exit code and output."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
 
@@ -101,7 +101,7 @@ def test_a_study_template_shows_its_strategy(kind: str) -> None:
     assert "least-squares:" in text
 
 
-def test_a_finished_template_of_images_is_a_study_with_the_defaults() -> None:
+def test_completed_image_template_equals_the_defaults() -> None:
     spec = StudySpec.model_validate(filled("breast-images", required("breast-images", 60.0)))
     least = {
         "name": "mine",
@@ -115,7 +115,7 @@ def test_a_finished_template_of_images_is_a_study_with_the_defaults() -> None:
     assert shown == bare
 
 
-def test_a_finished_template_of_a_diagnosis_states_the_defaults() -> None:
+def test_completed_diagnosis_template_equals_the_defaults() -> None:
     shown = CaseFile.model_validate(filled("diagnosis", required("diagnosis", 60.0)))
     least = {
         "name": "mine",
@@ -128,7 +128,7 @@ def test_a_finished_template_of_a_diagnosis_states_the_defaults() -> None:
     assert (shown.plates.lower_mm, shown.plates.upper_mm) == (None, None)
 
 
-def test_a_finished_template_of_an_experiment_is_an_experiment() -> None:
+def test_completed_experiment_template_is_valid() -> None:
     values = {
         "body.box_mm": [30, 30, 60],
         "regions.held end.plane": {"axis": "z", "at_mm": 0},
@@ -151,7 +151,7 @@ def test_a_finished_template_of_an_experiment_is_an_experiment() -> None:
 
 
 @pytest.mark.parametrize("load", [{}, {"load": None}])
-def test_the_load_of_an_image_is_never_a_default(load: dict[str, object]) -> None:
+def test_load_of_an_image_has_no_default(load: dict[str, object]) -> None:
     data = filled("breast-images", required("breast-images", 60.0))
     del data["case"]["load"]
     data["case"] |= load
@@ -167,9 +167,7 @@ def test_the_load_of_an_image_is_never_a_default(load: dict[str, object]) -> Non
         ({"jet": {"pressure_kpa": 15}}, "case.load.iop_mmhg"),
     ],
 )
-def test_the_load_of_a_cornea_in_pictures_is_never_a_default(
-    load: dict[str, object], lacking: str
-) -> None:
+def test_load_of_an_imaged_cornea_has_no_default(load: dict[str, object], lacking: str) -> None:
     picture = {"file": "a.png", "pixel_mm": [0.0156, 0.0165]}
     data = {
         "name": "eye",
@@ -190,7 +188,7 @@ def test_an_empty_optional_key_has_its_default() -> None:
     assert spec.search.strategy == "genetic"
 
 
-def test_null_keeps_its_meaning_where_it_has_one() -> None:
+def test_null_is_kept_for_nullable_keys() -> None:
     data = filled("breast-images", required("breast-images", 60.0))
     data["search"]["stall"] = None
     assert StudySpec.model_validate(data).search.stall is None

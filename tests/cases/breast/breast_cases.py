@@ -1,4 +1,4 @@
-"""A breast phantom at rest and pressed by the solver, and what can go wrong with its scans."""
+"""A breast phantom at rest and compressed by the solver, and faulty versions of its scans."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -23,7 +23,7 @@ SEARCHED = {"E_fat": (0.005, 0.020), "E_glandular": (0.005, 0.080)}
 
 @cache
 def at_rest(seed: int = 1, preset: str = "445ml", **changes: float) -> Volume:
-    """The body of 85 x 50 x 25 voxels of 2 mm, 445.6 ml, unless settings are changed."""
+    """Return a body of 445.6 ml, by default 85 x 50 x 25 voxels of 2 mm."""
     settings = BreastPhantom.preset(preset, spacing_mm=2.0, **changes)
     return crop_to_body(generate_breast(settings, seed).labels)
 
@@ -40,7 +40,7 @@ def case_of(load: Mapping[str, Any], constants: Mapping[str, float] | None = Non
 
 
 def pressed(rest: Volume, load: Mapping[str, Any], constants: Mapping[str, float] = TRUE) -> Volume:
-    """The body under a load, by Palpate's own solver."""
+    """Return the body under a load, simulated by Palpate."""
     case = case_of(load, constants)
     mesh = ORGAN.make_mesh(rest, case)
     model = ORGAN.prepare(mesh)
@@ -52,7 +52,7 @@ def pressed(rest: Volume, load: Mapping[str, Any], constants: Mapping[str, float
 
 @cache
 def usual_pair() -> tuple[Volume, Volume]:
-    """The body at rest, and under 60 N."""
+    """Return the body at rest and under 60 N."""
     rest = at_rest()
     return rest, pressed(rest, {"force_n": 60})
 
@@ -65,7 +65,7 @@ def findings(
     align: str | None = None,
     constants: Mapping[str, float] | None = None,
 ) -> list[Finding]:
-    """Findings of the checks of a study for two volumes."""
+    """Return the findings of the checks of a study for two volumes."""
     case = case_of(load or {"force_n": 60}, constants)
     target = BreastTarget.model_validate({"volume": "pressed.nrrd", "align": align})
     if align is not None and rest is not None and scan is not None:

@@ -1,4 +1,4 @@
-"""Rows of CASES 1, 2 and 5 about the place, the size and the loads of a breast."""
+"""Plausibility checks of the position, the size and the loads of a breast."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -48,7 +48,7 @@ ORDINARY: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize(("body", "load"), ORDINARY.values(), ids=ORDINARY)
-def test_ordinary_pairs_raise_nothing(body: dict[str, Any], load: dict[str, Any]) -> None:
+def test_accepts_ordinary_pairs(body: dict[str, Any], load: dict[str, Any]) -> None:
     rest = at_rest(**body)
     assert [one.text for one in findings(rest, pressed(rest, load), load)] == []
 
@@ -59,7 +59,7 @@ def test_a_soft_breast_may_lose_volume() -> None:
     assert findings(rest, pressed(rest, {"force_n": 60}, soft)) == []
 
 
-def test_real_pair_of_breast_ct_raises_nothing() -> None:
+def test_accepts_a_real_pair_of_breast_ct() -> None:
     folder = Path(__file__).parents[4] / "shared/data/breast_bct_niftysim"
     if not folder.is_dir():
         pytest.skip("shared/data/breast_bct_niftysim is not here")
@@ -119,7 +119,7 @@ def test_target_in_another_place_or_size_is_refused(change: Change, said: str) -
 
 
 def test_gland_on_one_side_only_cannot_hide_a_mirror_image() -> None:
-    """Of a mirror image exactly the flip that undoes it fits best."""
+    """The flip that undoes a mirror image fits best."""
     rest, scan = usual_pair()
     axis = (0.0, 1.0, 0.0)
     fits = likeness(Scan("rest", 0.0, axis, rest), Scan("scan", 60.0, axis, flipped(scan, "y")))
@@ -191,7 +191,7 @@ def test_unlabelled_slices_are_named_with_both_pieces() -> None:
 
 @pytest.mark.parametrize("nodes", [1500, 8000])
 def test_mesh_without_a_part_of_the_body_is_refused(nodes: int) -> None:
-    """With few nodes the largest piece alone would be refused for its thickness."""
+    """With few nodes, the thickness of the largest piece alone would be refused."""
     with pytest.raises(InputError, match="Only the largest connected piece is meshed"):
         mesh_whole_body(gaps(at_rest(), 9, 10, 11), nodes=nodes)
 
@@ -203,7 +203,7 @@ def test_body_in_another_unit_is_refused(factor: float) -> None:
     assert said.count("a breast has 10 to 5000 ml") == 2
 
 
-# --- entrances ----------------------------------------------------------------------
+# --- interfaces ---------------------------------------------------------------------
 
 STUDY = """
 name: pair
@@ -350,7 +350,7 @@ def test_reports_an_aligned_target_first(here: Path) -> None:
 def test_a_body_pressed_along_another_axis_is_refused(
     order: tuple[int, int, int], pressed_along: str
 ) -> None:
-    """Axes that were left as the file has them, on scans that were pressed along y."""
+    """The scans were compressed along y, but the axes of the file were not converted."""
     rest, scan = (with_axes(one, order) for one in usual_pair())
     text = texts(findings(rest, scan))
     assert f"it was pressed along {pressed_along}" in text

@@ -1,4 +1,4 @@
-"""Studies, diagnoses, plans and blind sets share one default physics."""
+"""Default physics shared by studies, diagnoses, plans and blind sets."""
 
 from pathlib import Path
 
@@ -32,7 +32,7 @@ from tests.workers.tasks.one_process import diagnosed_store, diagnosis_in
 
 FORCE_N = 12.0
 FRAME = Frame((3.0, 7.5, 16.0), (28.0, 37.5, 16.0))
-# The values that a study holds or searches around, as a diagnosis names them.
+# Values that a study holds or searches around, under their names in a diagnosis.
 DOOR_KPA = {
     "E_fat_kpa": 11.0,
     "E_glandular_kpa": 35.0,
@@ -43,7 +43,7 @@ INTERVALS = ("E_fat_kpa", "E_glandular_kpa", "eta_fat_kpa", "eta_glandular_kpa")
 
 
 def study_source(rest: Volume, pressed: Volume, **case: object) -> StudySource:
-    """Return the study of two images whose template has nothing but its required keys."""
+    """Return a study of two images with only the required keys."""
     data = filled("breast-images", required("breast-images", FORCE_N))
     data["case"] |= case
     spec = StudySpec.model_validate(data)
@@ -54,7 +54,7 @@ def study_source(rest: Volume, pressed: Volume, **case: object) -> StudySource:
 
 
 def case_source(rest: Volume, pressed: Volume) -> ScannedCaseSource:
-    """Return the diagnosis of two images whose template has nothing but its required keys."""
+    """Return a diagnosis of two images with only the required keys."""
     file = CaseFile.model_validate(filled("diagnosis", required("diagnosis", FORCE_N)))
     return ScannedCaseSource(ScannedCase(file, in_air(rest), None, [in_air(pressed)]))
 
@@ -77,7 +77,7 @@ def test_a_study_and_a_diagnosis_of_the_same_scans_solve_the_same_problem(rest: 
 
 
 def without_tissues(problem: Problem) -> list[object]:
-    """Return all fields of a problem but the constants of its tissues."""
+    """Return all fields of a problem except the constants of its tissues."""
     return [getattr(problem, name) for name in problem.__slots__ if name != "constants"]
 
 
@@ -190,7 +190,7 @@ def case_on_disk(
 def test_a_body_of_palpates_own_solver_shows_no_gap_with_defaults(
     tmp_path: Path, rest: Volume
 ) -> None:
-    """The scan under load is made with the default physics, on a mesh of its own."""
+    """The loaded scan is simulated with the default physics, on a different mesh."""
     control = case_on_disk(tmp_path, rest, rest, {})
     hierarchy = build_hierarchy(control.reference, nodes=2500)
     model = prepare(hierarchy)

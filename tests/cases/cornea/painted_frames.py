@@ -1,4 +1,4 @@
-"""Frames of a generated cornea as files, with what viewers, lids and exports do to them."""
+"""Frames of a generated cornea as files, with artefacts of viewers, eyelids and exports."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -46,7 +46,7 @@ REST, DENTED = pixels_of(eye()), pixels_of(eye(1.0), 1)
 
 
 def painted(pixels: Pixels, brush: Brush) -> Pixels:
-    """Return a frame as a colour picture on which something was drawn."""
+    """Return a frame as a colour picture with a drawing on it."""
     image = Image.fromarray(np.repeat(pixels[:, :, None], 3, axis=2))
     brush(ImageDraw.Draw(image))
     return np.asarray(image)

@@ -1,4 +1,4 @@
-"""Frames of a cornea that cannot be what a study takes them for are refused by name."""
+"""Plausibility checks of the frames of a cornea."""
 
 import subprocess
 import sys
@@ -40,7 +40,7 @@ ORIENTATION = 274
 def findings(
     folder: Path, rest: Any = REST, dented: Any = DENTED, pixel_mm: Any = PIXEL_MM, **case: Any
 ) -> list[Finding]:
-    """Return the findings about a pair of frames that is written to files and read again."""
+    """Return the findings about two frames, written to files and read again."""
     frames = [saved(p, folder / f"{n}.png") for n, p in (("rest", rest), ("jet", dented))]
     for frame in frames:
         frame["pixel_mm"] = list(pixel_mm)
@@ -55,7 +55,7 @@ def pair_findings(reference: dict[str, Any], target: dict[str, Any], **more: Any
 
 
 def only(found: list[Finding]) -> str:
-    """Return the text of the only finding, which refuses."""
+    """Return the text of the only finding, which must be a refusal."""
     assert [one.severity for one in found] == ["implausible"]
     return found[0].text
 
@@ -79,7 +79,7 @@ def test_accepts_the_corvis_pair_and_names_the_motion_of_the_eye() -> None:
 
 @pytest.mark.parametrize("orientation", [2, 3, 4, 5, 6, 7, 8])
 def test_applies_the_exif_orientation(tmp_path: Path, orientation: int) -> None:
-    """The pixels are stored turned or mirrored; the tag says how to see them."""
+    """The pixels are stored turned or mirrored; the tag gives the orientation."""
     stored = {
         2: REST[:, ::-1],
         3: REST[::-1, ::-1],
@@ -205,7 +205,7 @@ def test_a_tint_of_the_whole_picture_is_no_annotation() -> None:
     ],
     ids=["reflection", "lid", "frame of a window"],
 )
-def test_names_the_likely_cause_where_no_cornea_is_seen(
+def test_names_the_likely_cause_if_no_cornea_is_found(
     tmp_path: Path, brush: Brush, cause: str
 ) -> None:
     with pytest.raises(InputError) as error:

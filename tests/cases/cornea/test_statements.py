@@ -1,4 +1,4 @@
-"""Statements about a fitted cornea agree with each other and with the truth."""
+"""Consistency of the results of a fitted cornea with each other and with the truth."""
 
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,7 @@ CASE: dict[str, Any] = {
 
 
 def studied(folder: Path, evaluations: int, **changed: Any) -> StudyResults:
-    """Run a study of X1 whose target is simulated on a finer mesh."""
+    """Run a study of X1 with a target simulated on a finer mesh."""
     search = {
         "strategy": "least-squares",
         "starts": 1,
@@ -78,7 +78,7 @@ def converged(tmp_path_factory: pytest.TempPathFactory) -> StudyResults:
 
 
 def truth_of(one: dict[str, Any]) -> float:
-    """Return the true value of a derived one, in kPa."""
+    """Return the true value of a derived quantity, in kPa."""
     if "stretch" not in one:
         return 1000 * TRUTH.shear_modulus_mpa
     return 1000 * float(uniaxial_stress_mpa(TRUTH, np.array([one["stretch"]]))[0])
@@ -118,7 +118,7 @@ def test_page_and_terminal_agree(
     assert "with 90 % intervals" in page
 
 
-def test_no_interval_is_shown_where_the_search_has_not_converged(tmp_path: Path) -> None:
+def test_no_interval_without_convergence(tmp_path: Path) -> None:
     results = studied(tmp_path, 3)
     record = study_json(results)
     assert "has not converged" in record["stopped"]
@@ -131,7 +131,7 @@ def test_no_interval_is_shown_where_the_search_has_not_converged(tmp_path: Path)
         assert not any(" to " in reason for reason in one["reasons"])
 
 
-def test_a_name_means_the_same_constant_where_other_terms_are_held() -> None:
+def test_names_of_constants_are_independent_of_held_terms() -> None:
     """Term 1 is searched at an exponent above that of term 2, which is held at its default."""
     case = validated(CorneaCase, CASE)
     values = case.complete({"mu1": 0.006622, "alpha1": 95.0})
@@ -144,7 +144,7 @@ def test_a_name_means_the_same_constant_where_other_terms_are_held() -> None:
 
 
 def test_interval_belongs_to_the_estimate(tmp_path: Path) -> None:
-    """Of two terms the one with the lower exponent is held: the other one is estimated."""
+    """The term with the lower exponent is held; the other one is estimated."""
     case = CASE | {"constants": {"mu2_pa": 11000, "alpha2": 30}, "mesh": {"elements": 60}}
     spec = {
         "name": "eye",
@@ -195,7 +195,7 @@ def test_mesh_shift_equals_the_error_on_a_finer_mesh() -> None:
 
 
 def test_derived_values_have_the_slopes_of_their_formula() -> None:
-    """Of G0 = (mu1 alpha1 + mu2 alpha2) / 2, each term's part of it."""
+    """The slopes are the shares of both terms in G0 = (mu1 alpha1 + mu2 alpha2) / 2."""
     numbers = {
         "constants": {"mu1_mpa": 0.011, "alpha1": 30.0, "mu2_mpa": 0.035, "alpha2": 80.0},
         "attained_stretches": [0.99, 1.04],

@@ -1,4 +1,4 @@
-"""Small breasts in files of several formats, for the tests of places and labels."""
+"""Small breasts in several file formats, for tests of positions and labels."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -33,7 +33,7 @@ def breast() -> Labels:
 
 
 def tissues() -> Labels:
-    """Return the same body in the numbers of `Tissue`."""
+    """Return the same body in numbers of `Tissue`."""
     return np.array([0, 3, 1, 2, 5], np.uint8)[breast()]
 
 
@@ -47,7 +47,7 @@ def write_nrrd(
 
 
 def segments(names: Mapping[int, str], layers: Mapping[int, int] | None = None) -> dict[str, str]:
-    """Return the fields in which 3D Slicer names its segments."""
+    """Return the header fields of 3D Slicer with the names of segments."""
     fields: dict[str, str] = {}
     for number, (label, name) in enumerate(names.items()):
         fields |= {

@@ -1,4 +1,4 @@
-"""Images have the position and size stated in their files; contradictory files fail."""
+"""Position and size of images from their headers, and rejection of contradictory headers."""
 
 from collections.abc import Callable
 from pathlib import Path

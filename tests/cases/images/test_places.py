@@ -275,7 +275,7 @@ class TestDerivedVolumes:
         assert len(names) == 3
         assert ordinary.frame_facts == []
 
-    def test_a_store_keeps_them(self, tmp_path: Path) -> None:
+    def test_store_keeps_frame_and_unknown_place(self, tmp_path: Path) -> None:
         store = open_store(tmp_path / "store")
         volume = Volume(tissues(), (2.0, 2.0, 2.0), frame_uid=FRAME, place_known=False)
         save_volume(store, "0" * 16, volume)

@@ -55,7 +55,7 @@ def test_a_case_in_prose_is_refused_with_what_to_write(
     for path in (case, case / "case.json"):
         code, _, err = call(command, path)
         assert code == 2
-        assert "that form is no longer read" in err
+        assert "describes its physics in sentences" in err
         assert "palpate new diagnosis NAME" in err
         assert err.count("\n") == 1
     assert not (tmp_path / "runs").exists()

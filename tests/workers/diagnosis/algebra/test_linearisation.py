@@ -44,7 +44,7 @@ def test_rejects_invalid_input():
     good = nominal_problem()
     with pytest.raises(InputError, match=r"nominal must be .*\(120, 3\)"):
         replace(good, nominal=good.nominal[:, :2])
-    with pytest.raises(InputError, match="1 numbers that are not finite"):
+    with pytest.raises(InputError, match="with 1 non-finite numbers"):
         replace(good, residual=np.append(np.nan, good.residual[1:]))
     with pytest.raises(InputError, match="nominal_sd must be > 0"):
         replace(good, nominal_sd=np.array([1.0, 0.0, 1.0]))

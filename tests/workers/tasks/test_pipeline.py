@@ -34,7 +34,7 @@ class Breast:
         self.done = {}
 
     def press(self, asked, target=None, **constants):
-        key = repr((asked, target, constants))
+        key = repr((asked.model_dump_json(), target, constants))
         if key not in self.done:
             values = asked.complete(constants)
             self.done[key] = pressed(self.model, asked, values, self.extent, target)

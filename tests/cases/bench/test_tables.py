@@ -28,6 +28,7 @@ def lost(frames, number, marker="M3", values=None):
     return table
 
 
+@pytest.mark.slow
 def test_recovers_the_stiffness_of_a_block_with_a_lost_marker(tmp_path):
     """With a marker missing in 6 of 13 frames of a repeat, E is still 200 kPa within 1 %."""
     source = read_experiment(written(tmp_path, b=text_of(lost(slice(5, 11), 0.0))))

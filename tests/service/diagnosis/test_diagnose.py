@@ -300,6 +300,7 @@ def test_only_missing_results_are_recomputed(
     assert {p for p in after if after[p] != before[p]} == {path.name for path in lost}
 
 
+@pytest.mark.slow
 def test_hypotheses_are_weighed_once(
     tilted: Path,
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],

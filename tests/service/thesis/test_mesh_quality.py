@@ -75,6 +75,7 @@ def test_homogeneous_meshes_are_more_regular(
     assert abs(adaptive.agreement.labels - homogeneous.agreement.labels) < 0.01
 
 
+@pytest.mark.slow
 def test_table_has_mean_averages_and_the_worst_aspect(
     rows: tuple[QualityRow, QualityRow],
 ) -> None:

@@ -108,7 +108,8 @@ def test_expected_motion_is_ignored_with_friction_steps(model):
 
 
 @pytest.mark.parametrize(
-    ("near", "wanted", "route"), [(0.3, 0.35, 1), (0.0, 0.0, 1), (0.3, 0.35, 2)]
+    ("near", "wanted", "route"),
+    [(0.3, 0.35, 1), (0.0, 0.0, 1), pytest.param(0.3, 0.35, 2, marks=pytest.mark.slow)],
 )
 def test_stages_of_a_neighbour_are_reused(model, monkeypatch, near, wanted, route):
     """If its direct schedule failed, a similar body's would hardly succeed."""

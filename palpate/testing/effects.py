@@ -217,7 +217,7 @@ def _interface() -> tuple[FloatArray, FloatArray, IntArray]:
 
 
 def _same(a: object, b: object) -> bool:
-    """Return whether two problems are equal up to rounding."""
+    """Return True if two problems are equal up to rounding."""
     if isinstance(a, float) and isinstance(b, float):
         return a == b or abs(a - b) <= 1e-13 * max(abs(a), abs(b)) + 1e-15
     fields = getattr(a, "__dataclass_fields__", None)

@@ -71,7 +71,7 @@ def name_of(
 
 
 def evaluate(request: Record) -> Any:
-    """Sleep, then write a record like that of a simulation."""
+    """Sleep, then write a record as a simulation would."""
     store, name = open_store(request["store"]), request["digest"]
     seconds = Durations.seconds(store, name)
     time.sleep(seconds)

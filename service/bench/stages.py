@@ -38,7 +38,7 @@ STAGES = ("phantom", "mesh", "prepare", "solve", "tangent", "tangents", "warp", 
 REPEATED = {"solve": 3, "tangent": 3, "tangents": 3}
 # Ten parameters with all kinds of forces: loads, plates, stiffness, fibres.
 TEN_OF = ("gravity_change", "plate_force", "plate_tilt", "stiffness_gradient", "fibre_rotation")
-# One tangent is that of a constant; by loads, a body that nothing holds moves as if rigid.
+# The single tangent is by a constant: a load along a free axis only moves the body rigidly.
 STEP_MPA = 1e-5
 TINY_SPACING_MM, TINY_NODES = 2.0, 1000
 # A target and a candidate near the optimum, where a search spends most of its time.

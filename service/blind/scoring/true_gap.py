@@ -80,7 +80,7 @@ def true_gap(
     Raises
     ------
     InputError
-        If the scans differ from those of the truth, or the truth has too few points.
+        If scans and truth do not match, or the truth has too few points.
     """
     true = material_points(points, truth)
     if moved.shape != true.shape or normals.shape != true.shape:

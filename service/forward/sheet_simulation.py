@@ -107,6 +107,13 @@ class SheetSimulation:
     stated: Mapping[str, float] = field(repr=False)
     known: SheetEquilibrium | None = field(repr=False, default=None)
 
+    def __repr__(self) -> str:
+        size = f"{len(self.nodes_mm)} nodes, {len(self.triangles)} triangles"
+        if not self.converged:
+            return f"<SheetSimulation of {size}: diverged: {self.reason[:80]}>"
+        farthest_mm = np.linalg.norm(self.displacement_mm, axis=1).max()
+        return f"<SheetSimulation of {size}: moved by up to {farthest_mm:.3g} mm>"
+
     @property
     def deformed_nodes_mm(self) -> FloatArray:
         """Nodes after deformation, shape (n, 3)."""

@@ -155,6 +155,8 @@ def test_sheet_from_python_has_stress_thickness_and_derivatives():
     assert np.abs(result.cauchy_stress_mpa[:, 1]).max() < 1e-4
     assert np.abs(result.gradient("E_kpa")).max() < 1e-9
     assert result.to_meshio().cells[0].type == "triangle6"
+    assert repr(result).startswith(f"<SheetSimulation of {len(result.nodes_mm)} nodes, ")
+    assert len(repr(result)) < 200
 
 
 def test_pressure_inflates_a_sheet():

@@ -15,13 +15,21 @@ from palpate.storage.errors import InputError
 from tests.recovery.stand_ins import Inline
 
 
+@pytest.mark.parametrize("mode", ["barrier", "steady"])
+def test_a_busy_share_is_part_of_the_time(mode: str, tmp_path: Path) -> None:
+    durations = Durations(mean_s=0.3, spread=0.9)
+    assert 0.2 < busy(6, 12, 3, durations, tmp_path / mode, mode=mode).busy_share <= 1.0
+
+
+@pytest.mark.slow
 def test_a_steady_search_keeps_workers_busier_than_a_barrier(tmp_path: Path) -> None:
+    """Only on a machine without other load, which delays single tasks."""
     durations = Durations(mean_s=0.3, spread=0.9)
     shares = {
         mode: busy(6, 12, 3, durations, tmp_path / mode, mode=mode).busy_share
         for mode in ("barrier", "steady")
     }
-    assert 0.2 < shares["barrier"] < shares["steady"] <= 1.0
+    assert shares["barrier"] < shares["steady"]
 
 
 def test_sleeping_tasks_work_with_a_bucket(bucket: str, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import http.client
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -13,7 +14,7 @@ from palpate.service.remote.client import Client
 from palpate.service.server.jobs.yaml import parsed_text, refuse_paths
 from palpate.storage.errors import InputError
 from tests.recovery.stand_ins import SPEC
-from tests.service.server.service_process import TOKEN, ServiceProcess
+from tests.service.server.service_process import TOKEN, ServiceProcess, running_service
 
 API = "/api/v1"
 SIGNED = {"Authorization": f"Bearer {TOKEN}"}
@@ -126,7 +127,15 @@ def test_rejects_uploads_with_outside_paths(
     assert not (service.home / ".service" / "uploads" / "bad" / name).exists()
 
 
-def test_an_upload_is_never_too_large_and_never_changed(service: ServiceProcess) -> None:
+@pytest.fixture
+def empty_service(tmp_path: Path) -> Iterator[ServiceProcess]:
+    """A service without uploads of other tests, which count towards its limits."""
+    with running_service(tmp_path / "runs", ["--workers", "1"]) as served:
+        yield served
+
+
+def test_an_upload_is_never_too_large_and_never_changed(empty_service: ServiceProcess) -> None:
+    service = empty_service
     folder = service.home / ".service" / "uploads" / "large"
     where = f"{service.url}{API}/uploads/large"
     too_much = b"x" * (2**20 + 1)

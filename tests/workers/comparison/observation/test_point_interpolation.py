@@ -47,7 +47,7 @@ def test_points_slightly_outside_are_extrapolated_linearly(mesh):
 
 
 def test_refuses_points_of_another_body(mesh):
-    with pytest.raises(InputError, match="1 of 2 points are outside"):
+    with pytest.raises(InputError, match="1 of 2 points are more than 5 mm outside the mesh"):
         interpolation(mesh, np.array([(0.0, 0.0, 0.0), (90.0, 0.0, 0.0)]))
     with pytest.raises(InputError, match="finite"):
         interpolation(mesh, np.array([(0.0, np.inf, 0.0)]))

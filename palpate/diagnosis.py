@@ -30,14 +30,14 @@ __all__ = ["Diagnosis", "diagnose"]
 class Diagnosis(FinishedDiagnosis):
     """A completed diagnosis; see `diagnose`.
 
-    - ``summary``: ``verdict``, ``primary`` (the accused effects), ``effects`` with their
+    - ``summary``: ``verdict``, ``primary`` (the named effects), ``effects`` with their
       probabilities and magnitudes, ``constants`` and ``gap_mm``,
     - ``maps``: arrays of the points on the interfaces and their residuals in mm,
     - ``scans``: the names of the loaded scans.
     """
 
     def plot_gap(self) -> "Figure":
-        """Plot the gap with and without the accused effects, and the residuals of all points."""
+        """Plot the gap with and without the named effects, and the residuals of all points."""
         # These load matplotlib, which is rarely needed.
         from palpate.service.report.diagnosis.figures import gap_figure
         from palpate.service.report.drawing.canvas import on_white

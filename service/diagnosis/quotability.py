@@ -24,7 +24,7 @@ KPA_ENDING = "_kpa"
 
 @dataclass(frozen=True)
 class JudgedConstant:
-    """A constant of a diagnosis, fitted with the accused effects if there are any.
+    """A constant of a diagnosis, fitted with the named effects if there are any.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def unit_of(name: str) -> str:
 
 
 def change(constant: ConstantEstimate) -> float:
-    """Return the relative change of a constant by the accused effects; 0 if unknown."""
+    """Return the relative change of a constant by the named effects; 0 if unknown."""
     found = signed_error(constant.after, constant.before)
     return 0.0 if found is None else abs(found)
 
@@ -149,4 +149,4 @@ def _without(summary: Summary, name: str) -> str:
     constant = summary.constants[name]
     if summary.verdict == "no-gap" or constant.after is None:
         return ""
-    return f", without the accused effects {number(constant.before, 3)} {unit_of(name)}".rstrip()
+    return f", without the named effects {number(constant.before, 3)} {unit_of(name)}".rstrip()

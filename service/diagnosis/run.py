@@ -89,7 +89,7 @@ class FinishedDiagnosis:
     summary : Summary
     maps : dict of str to ndarray
         ``points`` (k, 3) in mm; ``interface`` (k,), 0 for the outline; ``before``,
-        ``noise`` (standard deviation) and, if an effect is accused, ``after``: residuals
+        ``noise`` (standard deviation) and, if an effect is named, ``after``: residuals
         in mm, shape (scans, k).
     scans : sequence of str
         Names of the loaded scans.

@@ -240,7 +240,7 @@ def replay(store: DiagnosisStore, course: Course) -> Diagnosis | WeighingRecord:
 
 
 def model_displacements(diagnosis: Diagnosis, each: Each) -> Displacements:
-    """Return nodal displacements before, and after if an effect is accused and simulated.
+    """Return nodal displacements before, and after if an effect is named and simulated.
 
     Only the points of a joint fit are stored, so the body is solved once more.
     """

@@ -24,7 +24,7 @@ from palpate.workers.tasks.diagnosis_store import (
     SensitivityRecord,
 )
 
-# Maps needed for a score. Those with "after" exist only if an effect is accused.
+# Maps needed for a score. Those with "after" exist only if an effect is named.
 KEPT = (
     "points",
     "interface",

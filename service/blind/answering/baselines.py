@@ -7,7 +7,7 @@
    image when fitted together with the constants, regardless of its number of parameters.
 3. Chance: any effect of the catalogue.
 
-The first two always accuse an effect. For a fair comparison they are also scored with a
+The first two always name an effect. For a fair comparison they are also scored with a
 threshold below which they stay silent, chosen to raise as many false alarms as the diagnosis on
 bodies without a missing effect.
 """
@@ -40,12 +40,12 @@ def raw_correlation(columns: FloatArray, residual: FloatArray) -> float:
 
 
 def largest(correlations: Mapping[str, float]) -> str | None:
-    """Return the effect accused by the first baseline; None without fingerprints."""
+    """Return the effect named by the first baseline; None without fingerprints."""
     return max(correlations, key=lambda name: correlations[name]) if correlations else None
 
 
 def closest(left_mm: Mapping[str, float]) -> str | None:
-    """Return the effect accused by the second baseline; None without refits.
+    """Return the effect named by the second baseline; None without refits.
 
     Parameters
     ----------
@@ -70,14 +70,14 @@ def improvement(left_mm: Mapping[str, float], before_mm: float) -> float:
 
 
 def threshold(silent: Sequence[float], alarms: int) -> float:
-    """Return the evidence that a baseline must exceed to accuse an effect.
+    """Return the evidence that a baseline must exceed to name an effect.
 
     Parameters
     ----------
     silent : sequence of float
         Its evidence on each body without a missing effect.
     alarms : int
-        Number of these that may be accused; more only in case of ties.
+        Number of these that may be named; more only in case of ties.
     """
     ranked = sorted(silent, reverse=True)
     return ranked[alarms] if alarms < len(ranked) else -np.inf

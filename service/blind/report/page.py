@@ -148,7 +148,7 @@ def _shrinkage_picture(records: Sequence[CaseRecord]) -> Picture:
     return picture(
         charts.shrinkage(held_out, inside),
         f"Claimed over true shrinkage of {len(inside)} cases.",
-        "Reduction of the squared gap by the accused effects.",
+        "Reduction of the squared gap by the named effects.",
     )
 
 

@@ -22,7 +22,7 @@ class Confusion:
         Kinds of truth: silent ones, single effects, pairs and triples, and causes outside the
         catalogue.
     columns : tuple of str
-        First effects accused, and answers without an effect.
+        First effects named, and answers without an effect.
     counts : tuple of tuple of int
         One tuple for each row.
     right : frozenset of (int, int)

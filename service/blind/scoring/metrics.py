@@ -231,7 +231,7 @@ def _gaps(records: Records) -> Iterable[Metric]:
     yield _metric("gap_within", "True nominal gap within its 90 % interval", within)
     after = _both(records, lambda r: r.claimed_after_mm, lambda r: r.true_after_mm)
     error = mean([abs(c - t) for c, t in after])
-    yield _metric("gap_after_error", "Error of the gap with the accused effects", error, unit="mm")
+    yield _metric("gap_after_error", "Error of the gap with the named effects", error, unit="mm")
 
 
 def _shrinkages(records: Records) -> Iterable[Metric]:
@@ -265,8 +265,8 @@ def _shrinkage(
 
 def _sizes(records: Records) -> Iterable[Metric]:
     lumps = [(r.lump_apart_mm, MAPPED.name in r.primary) for r in records]
-    named = mean([mm for mm, accused in lumps if accused and mm is not None])
-    unnamed = mean([mm for mm, accused in lumps if not accused and mm is not None])
+    named = mean([mm for mm, is_named in lumps if is_named and mm is not None])
+    unnamed = mean([mm for mm, is_named in lumps if not is_named and mm is not None])
     title = "Lump is named: distance from its centre to the true one"
     yield _metric("lump", title, named, _at_most(3.0), "mm")
     title = "Lump is not named: distance from its most probable centre to the true one"
@@ -300,12 +300,12 @@ def _baselines(records: Records, floor: float | None) -> Iterable[Metric]:
     in_sight = [r for r in records if r.group == "single" and visible(r, floor)]
     titles = {"raw_correlation": "largest raw correlation", "refit": "one refit at a time"}
     for key, title in titles.items():
-        right = share([r.accused_by.get(key) in r.effects for r in in_sight])
+        right = share([r.named_by.get(key) in r.effects for r in in_sight])
         yield _metric(f"baseline_{key}", f"Baseline, {title}: ranked first", right)
         least = _threshold(records, key)
         if least is not None:
             spoken = [
-                r.accused_by.get(key) in r.effects and r.loudness.get(key, 0.0) > least
+                r.named_by.get(key) in r.effects and r.loudness.get(key, 0.0) > least
                 for r in in_sight
             ]
             also = f"Baseline, {title}, with as few false alarms: ranked first"

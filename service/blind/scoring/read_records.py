@@ -121,7 +121,7 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
         magnitudes=tuple(magnitudes(truth, effects)),
         strength=strength(truth, effects),
         lump_apart_mm=lump_apart_mm(truth, effects, answer.centre_mm),
-        accused_by={
+        named_by={
             "raw_correlation": largest(answer.baselines.raw_correlation),
             "refit": closest(answer.baselines.refit_left_mm),
         },
@@ -150,7 +150,7 @@ def _true_gap(
     centre_mm: Triple | None,
     found: Mapping[str, float],
 ) -> TrueGap | None:
-    """Return the true gap to the interfaces as drawn; None if no effect is accused.
+    """Return the true gap to the interfaces as drawn; None if no effect is named.
 
     Labels or scans that are too large, or displaced, open a gap in the images but not in the
     body. The sizes `found` by the diagnosis for these effects close it.
@@ -166,9 +166,9 @@ def _true_gap(
 
 
 def _said_of_images(summary: Summary) -> dict[str, float]:
-    """Return the sizes found for labels and scans that are too large or displaced, if accused."""
-    accused = {e.name for e in CATALOGUE.on_observation}.intersection(summary.primary)
-    return {p.parameter: p.magnitude for n in accused for p in summary.effect(n).parameters}
+    """Return the sizes found for labels and scans that are too large or displaced, if named."""
+    named = {e.name for e in CATALOGUE.on_observation}.intersection(summary.primary)
+    return {p.parameter: p.magnitude for n in named for p in summary.effect(n).parameters}
 
 
 def _rms(values: FloatArray) -> float:

@@ -46,7 +46,7 @@ class CaseRecord:
     alarm : float or None
         Log evidence against no gap.
     claimed_before_mm, claimed_after_mm : float or None
-        Gap beyond noise with the nominal model, and with the accused effects.
+        Gap beyond noise with the nominal model, and with the named effects.
     true_before_mm, true_after_mm : float or None
         The same without noise, from the truth; see `service.blind.scoring.true_gap`.
     true_material_mm : float or None
@@ -63,8 +63,8 @@ class CaseRecord:
         `service.blind.scoring.magnitudes.strength`.
     lump_apart_mm : float or None
         Distance from the found centre of a lump to the true one.
-    accused_by : mapping of str to (str or None)
-        The effect accused by each baseline.
+    named_by : mapping of str to (str or None)
+        The effect named by each baseline.
     loudness : mapping of str to float
         The evidence of each baseline; see `service.blind.answering.baselines`.
     catalogue : int
@@ -97,7 +97,7 @@ class CaseRecord:
     magnitudes: tuple[Magnitude, ...] = ()
     strength: float | None = None
     lump_apart_mm: float | None = None
-    accused_by: Mapping[str, str | None] = field(default_factory=dict)
+    named_by: Mapping[str, str | None] = field(default_factory=dict)
     loudness: Mapping[str, float] = field(default_factory=dict)
     catalogue: int = 0
     reason: str = ""
@@ -114,22 +114,22 @@ class CaseRecord:
 
     @property
     def first(self) -> str | None:
-        """Return the first accused effect."""
+        """Return the first named effect."""
         return self.primary[0] if self.primary else None
 
     @property
     def right_family(self) -> bool:
-        """Return True if the first accused effect is in a true family."""
+        """Return True if the first named effect is in a true family."""
         return bool(self.primary_families) and self.primary_families[0] in self.families
 
     @property
     def right_first(self) -> bool:
-        """Return True if the first accused effect acts, or is a relative of one that does."""
+        """Return True if the first named effect acts, or is a relative of one that does."""
         return self.right_family if self.group == "relative" else self.first in self.effects
 
     @property
     def strictly_right(self) -> bool:
-        """Return True if an effect is accused, and none that does not act."""
+        """Return True if an effect is named, and none that does not act."""
         return bool(self.primary) and set(self.primary) <= set(self.effects)
 
     @property
@@ -160,7 +160,7 @@ class CaseRecord:
 
     @property
     def true_share(self) -> float | None:
-        """Return the true reduction of the squared gap by the accused effects."""
+        """Return the true reduction of the squared gap by the named effects."""
         before, after = self.true_before_mm, self.true_after_mm
         if after is None or not before:
             return None

@@ -39,7 +39,7 @@ class Misfits:
         Points at rest, in mm.
     before, after : ndarray, shape (s, k, 3)
         From measured to predicted points, for the nominal model and the one with the effect;
-        `after` is None if no effect is accused.
+        `after` is None if no effect is named.
     """
 
     points: FloatArray
@@ -68,7 +68,7 @@ def misfits_of(maps: Arrays) -> Misfits:
 
 
 def arrow_pictures(
-    maps: Arrays, states: Sequence[str], accused: str, noise_mm: float
+    maps: Arrays, states: Sequence[str], named: str, noise_mm: float
 ) -> Iterator[Picture]:
     """Yield pictures of at most `STATES` states, those with the largest misfit.
 
@@ -77,7 +77,7 @@ def arrow_pictures(
     maps : dict of str to ndarray
         See `service.diagnosis.run.FinishedDiagnosis`; of a bench experiment.
     states : sequence of str
-    accused : str
+    named : str
         Name of the effect in ``after``.
     noise_mm : float
         Noise of a component; arrows are not enlarged beyond it.
@@ -95,7 +95,7 @@ def arrow_pictures(
             f"{times:g} times as long. With the nominal model the longest is {length(longest)} mm; "
             f"noise is {length(noise_mm)} mm."
         )
-        yield chart(partial(_state, misfits, number, times, accused), caption, caption)
+        yield chart(partial(_state, misfits, number, times, named), caption, caption)
 
 
 def enlarged(misfits: Misfits, noise_mm: float) -> float:
@@ -110,14 +110,14 @@ def enlarged(misfits: Misfits, noise_mm: float) -> float:
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= most)
 
 
-def _state(misfits: Misfits, number: int, times: float, accused: str, width: float) -> Svg:
+def _state(misfits: Misfits, number: int, times: float, named: str, width: float) -> Svg:
     """Draw one state, seen along each of the two shortest sides of the body."""
     longest, middle, shortest = np.argsort(-np.ptp(misfits.points, axis=0), kind="stable").tolist()
     views = ((longest, middle), (longest, shortest))
     svg = Svg(width, 0.0)
     marks: list[tuple[Mark, str, str]] = [("line", "left-before", "nominal model")]
     if misfits.after is not None:
-        marks.append(("line", "left-after", f"with {accused}"))
+        marks.append(("line", "left-after", f"with {named}"))
     top = legend(svg, marks, LEFT_PX, 12.0, width)
     every = np.arange(0, len(misfits.points), -(-len(misfits.points) // POINTS))
     for view, panel in zip(views, panels(misfits.points, views, width, top), strict=True):

@@ -24,7 +24,7 @@ class Judged:
         Name of the compared scans.
     before : GapEstimate
     after : GapEstimate or None
-        None if no effect is accused.
+        None if no effect is named.
     """
 
     title: str

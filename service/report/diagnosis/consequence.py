@@ -42,7 +42,7 @@ def quotable(summary: Summary) -> Markup:
 
 
 def _of_nominal_model(summary: Summary, judged: Mapping[str, JudgedConstant]) -> Markup:
-    """Return the errors of the nominal model's constants without the accused effects."""
+    """Return the errors of the nominal model's constants without the named effects."""
     changes = [
         Markup("{} {}").format(symbol(n, "kPa"), percent(signed_error(c.after, c.before), 0))
         for n, c in summary.constants.items()

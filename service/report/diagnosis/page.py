@@ -94,7 +94,7 @@ def _contents(values: dict[str, object]) -> list[tuple[str, str]]:
 def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
     """Return the values of the template except the contents."""
     summary, maps, scans = diagnosis.summary, diagnosis.maps, diagnosis.scans
-    accused = together(summary.primary) if summary.primary else ""
+    named = together(summary.primary) if summary.primary else ""
     return {
         "name": summary.case,
         "caveats": summary.caveats or (),
@@ -105,12 +105,12 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "next_step": next_step(summary, origin.made.command),
         "provenance": diagnosis_provenance(origin.made, versions()),
         "glossary": DIAGNOSIS,
-        "body_data": None if summary.markers else body_data(maps, scans, accused, origin.loads),
-        "slice_data": slice_data(maps, scans, accused, origin.loads),
+        "body_data": None if summary.markers else body_data(maps, scans, named, origin.loads),
+        "slice_data": slice_data(maps, scans, named, origin.loads),
         "tiles": _tiles(summary),
         "warnings": list(_warnings(summary)),
-        "accused": accused,
-        "gap_picture": _gap_picture(summary, accused),
+        "named": named,
+        "gap_picture": _gap_picture(summary, named),
         "evidence_picture": _evidence_picture(summary),
         "about_evidence": _about_evidence(summary),
         "cause_picture": _cause_picture(summary),
@@ -121,10 +121,10 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "advice": _advice(summary),
         "further": [(o.name, worth(o)) for o in summary.next_acquisitions or ()],
         "markers": experiment.markers(summary),
-        "arrows": list(arrow_pictures(maps, scans, accused, summary.gap_mm.noise_floor))
+        "arrows": list(arrow_pictures(maps, scans, named, summary.gap_mm.noise_floor))
         if summary.markers is not None
         else [],
-        "specimen": list(specimen_pictures(maps, summary, accused)),
+        "specimen": list(specimen_pictures(maps, summary, named)),
         "states": experiment.states(summary),
         "forces": experiment.forces(summary),
         "hidden": experiment.hidden(summary),
@@ -132,11 +132,11 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "expected_forces": experiment.expected_forces(summary),
         "maps": []
         if summary.markers is not None
-        else list(where.maps(maps, scans, accused, summary.surfaces)),
+        else list(where.maps(maps, scans, named, summary.surfaces)),
         "averaged": where.on_surfaces(maps),
-        "sections": list(where.sections(maps, scans, accused)),
+        "sections": list(where.sections(maps, scans, named)),
         "section_legend": overlay_legend(),
-        "cause_map": where.cause_picture(maps, summary.cause_map, accused),
+        "cause_map": where.cause_picture(maps, summary.cause_map, named),
         "overlap": tables.overlap(summary.overlap or ()),
         "percentiles": any(region.p95_mm is not None for region in summary.where),
         "regions": tables.regions(summary.where),
@@ -232,19 +232,19 @@ def _warnings(summary: Summary) -> Iterator[str]:
         )
 
 
-def _gap_picture(summary: Summary, accused: str) -> Picture:
+def _gap_picture(summary: Summary, named: str) -> Picture:
     gap, rows = summary.gap_mm, gap_rows(summary)
     said = "; ".join(
         f"{r.title}: {millimetres(r.before)} with the nominal model"
-        + (f", {millimetres(r.after)} with {accused}" if r.after is not None else "")
+        + (f", {millimetres(r.after)} with {named}" if r.after is not None else "")
         for r in rows
     )
     numbers: list[Row] = [("judged on", "model", "gap_mm", "low_mm", "high_mm")]
     for row in rows:
-        for model, one in (("nominal", row.before), (f"with {accused}", row.after)):
+        for model, one in (("nominal", row.before), (f"with {named}", row.after)):
             if one is not None:
                 numbers.append((row.title, model, one.gap_mm, one.low_mm, one.high_mm))
-    return chart(lambda w: gaps(rows, gap.noise_floor, accused, w), f"Gap. {said}.", rows=numbers)
+    return chart(lambda w: gaps(rows, gap.noise_floor, named, w), f"Gap. {said}.", rows=numbers)
 
 
 def _evidence_picture(summary: Summary) -> Picture | None:

@@ -203,8 +203,8 @@ def _gland(shown: Section) -> BoolArray:
     return np.asarray(shown.values == Tissue.GLANDULAR)
 
 
-def titled(maps: Mapping[str, object], accused: str) -> Iterator[tuple[str, str]]:
+def titled(maps: Mapping[str, object], named: str) -> Iterator[tuple[str, str]]:
     """Yield (key, title) of "before" and "after", if present."""
-    for key, title in (("before", "nominal model"), ("after", f"with {accused}")):
+    for key, title in (("before", "nominal model"), ("after", f"with {named}")):
         if key in maps:
             yield key, title

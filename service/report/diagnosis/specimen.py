@@ -32,7 +32,7 @@ class Movement:
     state : str
     rest : ndarray, shape (k, 3)
     moved : mapping of str to ndarray, shape (k, 3)
-        Displacements: ``measured``, ``before`` and, if an effect is accused, ``after``.
+        Displacements: ``measured``, ``before`` and, if an effect is named, ``after``.
     edges_rest : ndarray, shape (e, 2, 3)
         Sharp edges of the body.
     edges : mapping of str to ndarray, shape (e, 2, 3)
@@ -52,7 +52,7 @@ class Movement:
         return float(np.sqrt(np.mean(left**2)))
 
 
-def specimen_pictures(maps: Arrays, summary: Summary, accused: str) -> Iterator[Picture]:
+def specimen_pictures(maps: Arrays, summary: Summary, named: str) -> Iterator[Picture]:
     """Yield pictures of at most `STATES` states, those with the largest misfit.
 
     Parameters
@@ -60,7 +60,7 @@ def specimen_pictures(maps: Arrays, summary: Summary, accused: str) -> Iterator[
     maps : dict of str to ndarray
         See `service.diagnosis.run.FinishedDiagnosis`; of a bench experiment.
     summary : Summary
-    accused : str
+    named : str
         Name of the effect in ``after``.
     """
     found = movements(maps, summary)
@@ -72,7 +72,7 @@ def specimen_pictures(maps: Arrays, summary: Summary, accused: str) -> Iterator[
             f"{one.state}: measured and predicted points. "
             f"Movements are {drawn}; the largest measures {length(farthest)} mm."
         )
-        yield chart(partial(_state, one, times, accused), caption, caption, list(_rows(one)))
+        yield chart(partial(_state, one, times, named), caption, caption, list(_rows(one)))
 
 
 def movements(maps: Arrays, summary: Summary) -> list[Movement]:
@@ -120,7 +120,7 @@ def _at_rest(one: Movement) -> FloatArray:
     return np.concatenate([one.rest, one.edges_rest.reshape(-1, 3)])
 
 
-def _state(one: Movement, times: float, accused: str, width: float) -> Svg:
+def _state(one: Movement, times: float, named: str, width: float) -> Svg:
     """Draw one state, seen along each of the two shortest sides of the body; a sheet once."""
     drawn = {name: one.rest + times * u for name, u in one.moved.items()}
     edges = {w: one.edges_rest + times * (e - one.edges_rest) for w, e in one.edges.items()}
@@ -138,7 +138,7 @@ def _state(one: Movement, times: float, accused: str, width: float) -> Svg:
         ("cross", "left-before", "nominal model"),
     ]
     if "after" in drawn:
-        marks.append(("cross", "left-after", f"with {accused}"))
+        marks.append(("cross", "left-after", f"with {named}"))
     top = legend(svg, marks, LEFT_PX, 12.0, width)
     every = np.arange(0, len(one.rest), -(-len(one.rest) // POINTS))
     for view, panel in zip(views, panels(everything, views, width, top), strict=True):

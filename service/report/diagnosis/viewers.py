@@ -39,7 +39,7 @@ NEAREST = 4
 
 
 def body_data(
-    found: Arrays, scans: Sequence[str], accused: str, loads: Mapping[str, Pressed]
+    found: Arrays, scans: Sequence[str], named: str, loads: Mapping[str, Pressed]
 ) -> Markup | None:
     """Return the data of the 3-D viewer; None if the store has no surfaces.
 
@@ -49,7 +49,7 @@ def body_data(
         Arrays of the outcome; see `workers.diagnosis.outcome.pictures.drawings`.
     scans : sequence of str
         Names of the loaded scans.
-    accused : str
+    named : str
         Name of the effect; empty if there is none.
     loads : mapping of str to Pressed
         Known loads by the name of the scan.
@@ -60,7 +60,7 @@ def body_data(
     surfaces = [_surface(found, INTERFACES[number].name) for number in numbers]
     models = [
         (when, title)
-        for when, title in titled(dict.fromkeys(WHEN, 0), accused)
+        for when, title in titled(dict.fromkeys(WHEN, 0), named)
         if f"local_{when}" in found
     ]
     moved = _moved(found, len(scans), surfaces, models)
@@ -89,13 +89,13 @@ def body_data(
 
 
 def slice_data(
-    found: Arrays, scans: Sequence[str], accused: str, loads: Mapping[str, Pressed]
+    found: Arrays, scans: Sequence[str], named: str, loads: Mapping[str, Pressed]
 ) -> Markup | None:
     """Return the data of the slice viewer; None if the store has no bodies.
 
     Parameters
     ----------
-    found, scans, accused, loads
+    found, scans, named, loads
         As for `body_data`.
     """
     sets = []
@@ -108,7 +108,7 @@ def slice_data(
         spacing: Triple = (dx, dy, dz)
         names = ("scan", *WHEN)[: len(stack)]
         volumes = {n: Volume(v, spacing, (x, y, z)) for n, v in zip(names, stack, strict=True)}
-        models = list(titled(dict.fromkeys(names[1:], 0), accused))
+        models = list(titled(dict.fromkeys(names[1:], 0), named))
         pressed = loads.get(name)
         plates = (
             {n: plates_touching(v, pressed.axis) for n, v in volumes.items()} if pressed else {}

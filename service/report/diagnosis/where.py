@@ -24,7 +24,7 @@ PARTS = ("vertices", "triangles")
 
 
 def maps(
-    found: Arrays, scans: Sequence[str], accused: str, surfaces: Sequence[str]
+    found: Arrays, scans: Sequence[str], named: str, surfaces: Sequence[str]
 ) -> Iterator[Picture]:
     """Yield maps of the signed residuals of every scan, on one colour scale.
 
@@ -36,11 +36,11 @@ def maps(
     if not own:
         return
     drawn_on = _on_surfaces if on_surfaces(found) else _as_points
-    yield from drawn_on(found, scans, accused, own)
+    yield from drawn_on(found, scans, named, own)
 
 
 def _on_surfaces(
-    found: Arrays, scans: Sequence[str], accused: str, own: Mapping[str, BoolArray]
+    found: Arrays, scans: Sequence[str], named: str, own: Mapping[str, BoolArray]
 ) -> Iterator[Picture]:
     most = range_mm(found["local_before"], found["local_before_sd"])
     seen = seen_from_all_sides([_solid(found, name, mask) for name, mask in own.items()])
@@ -50,23 +50,23 @@ def _on_surfaces(
                 name: (found[f"local_{key}"][scan, mask], found[f"local_{key}_sd"][scan, mask])
                 for name, mask in own.items()
             }
-            for key, title in titled(found, accused)
+            for key, title in titled(found, named)
         }
-        shares = [f"{name}: {_loud(found, scan, accused, mask)}" for name, mask in own.items()]
+        shares = [f"{name}: {_loud(found, scan, named, mask)}" for name, mask in own.items()]
         drawn = surface_map(seen, local, most)
         yield _captioned(drawn, f"Scan at {scan_name}", _beyond("; ".join(shares)))
 
 
 def _as_points(
-    found: Arrays, scans: Sequence[str], accused: str, own: Mapping[str, BoolArray]
+    found: Arrays, scans: Sequence[str], named: str, own: Mapping[str, BoolArray]
 ) -> Iterator[Picture]:
     most = range_mm(found["before"], found["noise"])
     for scan, scan_name in enumerate(scans):
         for name, mask in own.items():
-            rows = {title: found[key][scan, mask] for key, title in titled(found, accused)}
+            rows = {title: found[key][scan, mask] for key, title in titled(found, named)}
             drawn = residual_map(found["points"][mask], rows, found["noise"][scan, mask], most)
             title = f"{name.capitalize()}, scan at {scan_name}"
-            yield _captioned(drawn, title, _beyond(_loud(found, scan, accused, mask)))
+            yield _captioned(drawn, title, _beyond(_loud(found, scan, named, mask)))
 
 
 def _solid(found: Arrays, name: str, own: BoolArray) -> Solid:
@@ -79,7 +79,7 @@ def on_surfaces(found: Arrays) -> bool:
     return "local_before" in found and f"shape_{INTERFACES[0].name}_vertices" in found
 
 
-def sections(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Picture]:
+def sections(found: Arrays, scans: Sequence[str], named: str) -> Iterator[Picture]:
     """Yield sections of the observed and predicted bodies of every scan in the store."""
     for scan, name in enumerate(scans):
         if f"labels_{scan}" not in found:
@@ -87,7 +87,7 @@ def sections(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Pict
         stack, frame = found[f"labels_{scan}"], found[f"labels_{scan}_frame"]
         observed, *models = (_volume(labels, frame) for labels in stack)
         keys = dict(zip(("before", "after"), models, strict=False))
-        shown = {title: keys[key] for key, title in titled(keys, accused)}
+        shown = {title: keys[key] for key, title in titled(keys, named)}
         middle = middle_mm(observed, (Tissue.GLANDULAR,))
         yield _captioned(
             overlays(observed, shown, middle),
@@ -97,16 +97,14 @@ def sections(found: Arrays, scans: Sequence[str], accused: str) -> Iterator[Pict
         )
 
 
-def cause_picture(found: Arrays, causes: CauseMapSummary | None, accused: str) -> Picture | None:
+def cause_picture(found: Arrays, causes: CauseMapSummary | None, named: str) -> Picture | None:
     """Return the map of causes; None if there is none."""
     if causes is None or "cause_before" not in found:
         return None
     before = causes.before
     body = _volume(found["labels_rest"], found["labels_rest_frame"])
     keys = {key: found[f"cause_{key}"] for key in ("before", "after") if f"cause_{key}" in found}
-    shown = {
-        title: _volume(keys[key], found["cause_frame"]) for key, title in titled(keys, accused)
-    }
+    shown = {title: _volume(keys[key], found["cause_frame"]) for key, title in titled(keys, named)}
     at: Triple = (before.x_mm, before.y_mm, before.z_mm)
     drawn = cause_sections(shown, body, at, before.reached_by_noise)
     return _captioned(drawn, "Map of causes", cause_words(causes))
@@ -135,12 +133,12 @@ def _beyond(said: str) -> str:
     return f"points beyond twice the noise of a point: {said}. Noise alone puts 5 % there"
 
 
-def _loud(found: Arrays, scan: int, accused: str, own: BoolArray) -> str:
+def _loud(found: Arrays, scan: int, named: str, own: BoolArray) -> str:
     """Return the fraction of points beyond twice the noise, by model."""
     limit = SIGNIFICANT * found["noise"][scan, own]
     shares = {
         title: (np.abs(found[key][scan, own]) >= limit).mean()
-        for key, title in titled(found, accused)
+        for key, title in titled(found, named)
     }
     return ", ".join(f"{100 * share:.0f} % ({title})" for title, share in shares.items())
 

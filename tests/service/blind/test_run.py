@@ -84,7 +84,7 @@ def test_finds_the_tilt_and_its_true_gap(records: dict[str, CaseRecord]) -> None
     assert tilted.right
     depth = next(m for m in tilted.magnitudes if m.name == "tilt_depth_deg")
     assert (depth.true, depth.found) == (TILT_DEG, pytest.approx(TILT_DEG, rel=0.15))
-    assert tilted.accused_by == {"raw_correlation": "plate_tilt", "refit": "plate_tilt"}
+    assert tilted.named_by == {"raw_correlation": "plate_tilt", "refit": "plate_tilt"}
     before, after = tilted.true_before_mm, tilted.true_after_mm
     assert before is not None
     assert after is not None

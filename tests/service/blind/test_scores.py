@@ -294,9 +294,9 @@ def test_magnitudes_count_only_for_correct_causes() -> None:
     assert value(near, "lump_unnamed") == (20.0, 1)
 
 
-def test_baselines_always_accuse_an_effect() -> None:
+def test_baselines_always_name_an_effect() -> None:
     raw = {"raw_correlation": "plate_tilt", "refit": "plate_friction"}
-    found = scored(record(accused_by=raw), record(accused_by=raw | {"refit": "plate_tilt"}))
+    found = scored(record(named_by=raw), record(named_by=raw | {"refit": "plate_tilt"}))
     assert value(found, "baseline_raw_correlation") == (1.0, 2)
     assert value(found, "baseline_refit") == (0.5, 2)
     assert value(found, "baseline_chance") == (0.5, 2)
@@ -304,8 +304,8 @@ def test_baselines_always_accuse_an_effect() -> None:
 
 def test_silent_baselines_have_as_few_false_alarms_as_the_diagnosis() -> None:
     def body(group: str, loud: float, **more: object) -> CaseRecord:
-        accused = {"refit": "plate_tilt"}
-        return record(group, accused_by=accused, loudness={"refit": loud}, **more)
+        named = {"refit": "plate_tilt"}
+        return record(group, named_by=named, loudness={"refit": loud}, **more)
 
     silent = [body("control", loud, answer="no-gap", effects=()) for loud in (0.1, 0.3, 0.2)]
     singles = [body("single", loud, true_before_mm=0.9) for loud in (0.25, 0.35, 0.9)]

@@ -77,8 +77,8 @@ def asked(folder: Path, store: Path) -> DiagnosisRequest:
 def test_finds_tilt_and_constants(
     diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
 ) -> None:
-    summary, accused = diagnosed[1].summary, ("plate_tilt",)
-    assert (summary.verdict, summary.primary, summary.set90) == ("effect", accused, accused)
+    summary, named = diagnosed[1].summary, ("plate_tilt",)
+    assert (summary.verdict, summary.primary, summary.set90) == ("effect", named, named)
     tilt = summary.effect("plate_tilt")
     assert tilt.magnitude == pytest.approx(TILT_DEG, rel=0.15)
     assert tilt.unit == "deg"

@@ -151,7 +151,7 @@ def summary(**changes: Any) -> Json:
 
 
 def nothing(kind: str, **changes: Any) -> Json:
-    """Return a summary that accuses no effect."""
+    """Return a summary that names no effect."""
     alone = {
         "before": gap(0.03, 0.0, 0.11),
         "noise_floor": 0.4367,

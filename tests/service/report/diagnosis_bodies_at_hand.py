@@ -37,7 +37,7 @@ def egg(half_axes_mm: FloatArray) -> Volume:
     return Volume(values, (1.5, 1.5, 1.5), (-30.0, -22.5, -18.0))
 
 
-def found(accused: bool = True, **changes: Any) -> FinishedDiagnosis:
+def found(named: bool = True, **changes: Any) -> FinishedDiagnosis:
     """Return the egg's diagnosis; `changes` are applied to its summary."""
     reference = egg(HALF_AXES_MM)
     points = interface_points(reference, (OUTLINE, GLANDULAR), 5.0, 2.0)
@@ -59,7 +59,7 @@ def found(accused: bool = True, **changes: Any) -> FinishedDiagnosis:
         "local_before": apart,
         "local_before_sd": np.full((2, k), 0.1),
     }
-    if accused:
+    if named:
         predicted["after"] = observed
         maps |= {"after": 0 * apart, "local_after": 0 * apart}
         maps["local_after_sd"] = maps["local_before_sd"]
@@ -72,15 +72,15 @@ def found(accused: bool = True, **changes: Any) -> FinishedDiagnosis:
         np.ones(3, bool),
         3.3,
     )
-    told = summary(**changes) if accused else summary(primary=[], **changes)
+    result = summary(**changes) if named else summary(primary=[], **changes)
     residuals = {when: maps[when] for when in predicted}
     seen = [observe(one, (OUTLINE, GLANDULAR)).distances for one in observed]
     areas = [[one.interface_mm2 for one in distances] for distances in seen]
     rows = overlap_rows(
         SCANS, areas, observed, predicted, residuals, maps["noise"], points.interface
     )
-    told["overlap"] = to_json(rows)
-    told["cause_map"] = {"before": to_json(loudest_place(cause))}
+    result["overlap"] = to_json(rows)
+    result["cause_map"] = {"before": to_json(loudest_place(cause))}
     maps |= bodies(reference, observed, predicted) | shapes(reference, (OUTLINE, GLANDULAR))
     maps |= causes({"before": cause}, reference)
-    return FinishedDiagnosis(typed(told), maps, SCANS)
+    return FinishedDiagnosis(typed(result), maps, SCANS)

@@ -1,7 +1,7 @@
 """Posterior of the distance between models and the body, averaged over all possible causes.
 
 A hypothesis predicts the position of the body: the interfaces of its fit, with a normal posterior
-of its constants and effects, their errors of form and, if included, a smooth field. The distance of
+of its constants and effects, their form errors and, if included, a smooth field. The distance of
 another model from there is the error of that model if the hypothesis is true. Drawn in proportion
 to the probabilities of the hypotheses and over the possible noise, these distances are the
 posterior of the gap (J. A. Hoeting et al., Stat. Sci. 14 (1999) 382). An uncertain cause therefore
@@ -37,7 +37,7 @@ class GapDraws:
     before : ndarray, shape (m, n)
         Signed distances of the nominal model in mm, for each residual and draw.
     after : ndarray, shape (m, n), or None
-        With the accused effects; None if there are none.
+        With the named effects; None if there are none.
     floors_mm : ndarray, shape (n,)
         Drawn errors common to all models.
     """
@@ -53,7 +53,7 @@ class GapDraws:
 
     @property
     def after_mm(self) -> FloatArray | None:
-        """Root mean square distance with the accused effects in each draw, shape (n,)."""
+        """Root mean square distance with the named effects in each draw, shape (n,)."""
         return None if self.after is None else self._root_mean_square(self.after)
 
     def _root_mean_square(self, distances: FloatArray) -> FloatArray:
@@ -64,10 +64,10 @@ def draw_gaps(
     analysis: NominalAnalysis,
     fits: Mapping[tuple[str, ...], Fit],
     probabilities: Mapping[Case, float],
-    accused: Fit | None,
+    named: Fit | None,
     floor_mm: float,
 ) -> GapDraws:
-    """Draw distances of the nominal model, and of one with the accused effects, from the body.
+    """Draw distances of the nominal model, and of one with the named effects, from the body.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def draw_gaps(
     probabilities : mapping of Case to float
         Probability of each hypothesis. One whose effects were not fitted counts as a smooth field
         or, if the constants hide them, as the nominal model.
-    accused : Fit or None
+    named : Fit or None
         One of `fits`.
     floor_mm : float
         Error common to all models, from the mesh and the segmentation of the body.
@@ -87,7 +87,7 @@ def draw_gaps(
     known = {(): analysis.nominal, **fits}
     weights = _of_fitted(probabilities, known, analysis.hidden, analysis.noise.has_field)
     counts = _shared_out(settings.draws, np.array(list(weights.values())))
-    models = [analysis.nominal] + ([] if accused is None else [accused])
+    models = [analysis.nominal] + ([] if named is None else [named])
     residuals, place = [m.residual(analysis.inverse) for m in models], analysis.inverse.is_place
     drawn: list[list[FloatArray]] = [[] for _ in models]
     for (names, field), count in zip(weights, counts, strict=True):
@@ -98,7 +98,7 @@ def draw_gaps(
             own.append((residual[:, None] - true)[place])
     floors = floor_mm * parts_of_floor(rng, settings.draws)
     each = [np.hstack(parts) for parts in drawn]
-    return GapDraws(each[0], each[1] if accused is not None else None, floors)
+    return GapDraws(each[0], each[1] if named is not None else None, floors)
 
 
 def _of_fitted(
@@ -127,7 +127,7 @@ def _shared_out(draws: int, weights: FloatArray) -> list[int]:
 class _Beliefs:
     """Position of the body under a hypothesis, as the residuals of a model at that position.
 
-    A mixture of normal distributions over noise states, pose scales, sizes of the errors of form,
+    A mixture of normal distributions over noise states, pose scales, sizes of the form errors,
     and lengths and amplitudes of a smooth field.
     """
 
@@ -195,7 +195,7 @@ def _within_bounds(z: FloatArray, covariance: FloatArray, within: Sides) -> Floa
 def _sizes(
     wide: LinearHypothesis, errors: FloatArray, field: FloatArray, amplitudes_mm: Sequence[float]
 ) -> Iterator[tuple[float, FloatArray]]:
-    """Yield the log prior and the factors (p,) of each size of errors of form and field."""
+    """Yield the log prior and the factors (p,) of each size of form errors and field."""
     e, f, p = errors.shape[1], field.shape[1], wide.columns.shape[1]
     of_errors = zip(SETTINGS.form.relative_sds, log_prior_of_sizes(), strict=True)
     for size, log_prior in of_errors if e else [(1.0, 0.0)]:

@@ -86,7 +86,7 @@ class DesignEvaluation:
 
     @property
     def seen(self) -> BoolArray:
-        """Mask of the effects that can be accused or acquitted, shape (effects,)."""
+        """Mask of the effects that can be named or ruled out, shape (effects,)."""
         return (self.evidence >= SETTINGS.plan.clear) & ~self.hidden
 
     @property

@@ -50,7 +50,7 @@ class PlannedEffect:
     log_evidence : float
         Expected log Bayes factor against no gap at the plausible size, in nats.
     seen : bool
-        Whether it can be accused or acquitted.
+        Whether it can be named or ruled out.
     why_not : {"hidden", "weak", ""}
     """
 

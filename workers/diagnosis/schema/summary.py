@@ -42,7 +42,7 @@ class ShareEstimate:
 
 @dataclass(frozen=True, slots=True)
 class GapShrinkage:
-    """The gap without and with the accused effects."""
+    """The gap without and with the named effects."""
 
     before: GapEstimate
     after: GapEstimate
@@ -63,7 +63,7 @@ class GapSummary:
     calibration_floor : float
         Error of even the true model, in mm.
     after : GapEstimate or None
-        Gap with the accused effects; this and the following are None if there are none.
+        Gap with the named effects; this and the following are None if there are none.
     held_out_before, held_out_after : GapEstimate or None
         Also None for a single scan.
     share, held_out_share : ShareEstimate, optional
@@ -199,7 +199,7 @@ class EffectSummary:
 
 @dataclass(frozen=True, slots=True)
 class ConstantEstimate:
-    """A constant in kPa, in the nominal model and with the accused effects, if any.
+    """A constant in kPa, in the nominal model and with the named effects, if any.
 
     Parameters
     ----------
@@ -282,7 +282,7 @@ class LoudestPlace:
 
 @dataclass(frozen=True, slots=True)
 class CauseMapSummary:
-    """Most significant places of the residuals: before, and after with the accused effects."""
+    """Most significant places of the residuals: before, and after with the named effects."""
 
     before: LoudestPlace
     after: LoudestPlace | None = None
@@ -314,7 +314,7 @@ class Summary:
     case : str
     verdict : {"no-gap", "effect", "cannot-be-told-apart", "none-of-these"}
     primary : tuple of str
-        The accused effects; see `workers.diagnosis.verdict.verdict.Verdict`.
+        The named effects; see `workers.diagnosis.verdict.verdict.Verdict`.
     effects : tuple of EffectSummary
         All effects that act and could be simulated, in the order of the catalogue.
     set90 : tuple of str

@@ -9,7 +9,7 @@ few nats out of hundreds; a weak effect is hardly changed. The evidence is avera
 size of the error.
 
 An unlisted cause may resemble a listed one, with larger differences in the pattern. It is modelled
-as the same hypothesis with larger errors of form, in which the effects do not act.
+as the same hypothesis with larger form errors, in which the effects do not act.
 """
 
 from collections.abc import Sequence
@@ -73,7 +73,7 @@ class FormError:
 
 
 def acting_or_alike(log_evidences: Sequence[float]) -> tuple[float, float]:
-    """Return the log evidence averaged over errors of form, and the probability of acting.
+    """Return the log evidence averaged over form errors, and the probability of acting.
 
     Parameters
     ----------

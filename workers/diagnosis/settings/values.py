@@ -287,7 +287,7 @@ class GapSettings:
 
     # [principle] Probability of intervals.
     level: float = 0.9
-    # [sets 5, 6, 7, hard] The remaining error of 48 blind bodies with the accused effects, and of
+    # [sets 5, 6, 7, hard] The remaining error of 48 blind bodies with the named effects, and of
     # 14 nominal models without a missing effect, is in the median this many times the counted
     # floor; 90 % are between these multiples of the median.
     floor_factor: float = 1.3

@@ -75,10 +75,10 @@ class Diagnosis:
 
     @property
     def best(self) -> JointFit | None:
-        """The joint fit of the accused effects."""
-        accused = set(self.verdict.primary)
+        """The joint fit of the named effects."""
+        named = set(self.verdict.primary)
         for names, fitted in self.joint_fits.items():
-            if set(names) == accused:
+            if set(names) == named:
                 return fitted
         return None
 
@@ -163,7 +163,7 @@ def weigh(
 ) -> tuple[Hypothesis, ...]:
     """Return the evidence of every hypothesis, from its joint fit or else the linear model.
 
-    For joint fits it includes the error of form; see `workers.diagnosis.screening.form_error`.
+    For joint fits it includes the form error; see `workers.diagnosis.screening.form_error`.
     """
     nominal = analysis.hypothesis(analysis.nominal)
     joint = JointEvidence(nominal, analysis.sensitivities, analysis.noise)

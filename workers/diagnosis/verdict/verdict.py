@@ -7,7 +7,7 @@ probability of that grows with the field's share of the evidence and counts as "
 
 1. No gap, if that is the most probable cause. An effect that hides in the nominal parameters (see
    `diagnosis.screening.detectability.hides`) has at least its prior probability relative to no
-   gap, and counts towards it: these scans cannot show it, and it is neither accused nor acquitted.
+   gap, and counts towards it: these scans cannot show it, and it is neither named nor ruled out.
    Together with a visible effect it counts towards that effect.
 2. None of these, if that is the most probable cause.
 3. Otherwise the effect, or, if more than one cause is needed to reach 90 % of the probability, the
@@ -44,7 +44,7 @@ class Verdict:
     ----------
     kind : {"no-gap", "effect", "cannot-be-told-apart", "none-of-these"}
     primary : tuple of str
-        The accused effects of the most probable hypothesis with effects: the most probable one
+        The named effects of the most probable hypothesis with effects: the most probable one
         first, others only if each has a probability of at least 90 %. Empty unless `kind` is
         "effect" or "cannot-be-told-apart".
     probabilities : dict of str to float
@@ -131,12 +131,12 @@ def verdict(
     credible = _credible(causes)
     best = _best_named(cases, hidden)
     kind = _kind(credible)
-    accused = kind in ("effect", "cannot-be-told-apart")
+    named = kind in ("effect", "cannot-be-told-apart")
     suspects = {families[name] for name in credible if name in families}
     loudness = alarm(visible)
     return Verdict(
         kind=kind,
-        primary=_primary(best, credible[0], acting) if accused else (),
+        primary=_primary(best, credible[0], acting) if named else (),
         probabilities=acting,
         no_gap=causes[NO_GAP],
         none_of_these=causes[NONE_OF_THESE],
@@ -169,7 +169,7 @@ def _with_hidden(hypotheses: Sequence[Hypothesis], hidden: Sequence[str]) -> lis
     """Return the hypotheses, with the evidence of hidden effects no lower than without effects.
 
     The constants absorb a hidden effect, so a fit with it is as good as one without. The small
-    unabsorbed part may support it, but not strongly enough to accuse it. Combined with other
+    unabsorbed part may support it, but not strongly enough to name it. Combined with other
     effects it keeps the evidence of its fit.
     """
     nothing = next(h for h in hypotheses if not h.effects)

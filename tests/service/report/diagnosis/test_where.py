@@ -72,8 +72,8 @@ def test_every_scan_has_map_and_sections(page: Page) -> None:
     assert told == [f"Scan at {name}" for name in SCANS] * 2
 
 
-def test_without_an_accused_effect_there_is_one_column_and_no_arrow() -> None:
-    alone = Page(render(found(accused=False, verdict="none-of-these", set90=["none-of-these"])))
+def test_without_a_named_effect_there_is_one_column_and_no_arrow() -> None:
+    alone = Page(render(found(named=False, verdict="none-of-these", set90=["none-of-these"])))
     assert "with plate tilt" not in alone.text
     cells = [row for row in alone.cells if row and row[0] == "40 N along x"]
     assert cells

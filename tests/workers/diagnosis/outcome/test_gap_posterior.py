@@ -47,7 +47,7 @@ class LinearFit:
 
 
 def analysis_of(nominal):
-    """An analysis as far as `draw_gaps` uses it, without errors of form."""
+    """An analysis as far as `draw_gaps` uses it, without form errors."""
     noise = known_noise_model(K, 1e-2)
     fields = [white.columns for white in noise._fields[0]]
     factor = noise._factors[0]
@@ -70,7 +70,7 @@ def truth_of(kind, rng):
 
 
 def diagnosed(problem):
-    """Probabilities and draws, with the tilt accused."""
+    """Probabilities and draws, with the tilt named."""
     joint = joint_evidence(problem, [TILT])
     weighed = [joint.hypothesis(()), joint.hypothesis(NAMES)]
     nominal, tilted = LinearFit(problem), LinearFit(problem, TILT.columns, TILT.prior_sd)

@@ -70,7 +70,7 @@ def test_separates_a_shift_from_small_pose_errors():
 
 
 def test_pose_errors_are_not_reported_as_a_shift():
-    """Bodies without a shift are never accused of it, whatever the poses."""
+    """Bodies without a shift are never blamed for it, whatever the poses."""
     rng = np.random.default_rng(33)
     problem, noise = nominal_problem(K), known_noise_model(K)
     for off_mm in (0.0, 0.1, 0.3):

@@ -73,7 +73,7 @@ def test_otherwise_the_five_strongest_are_fitted(loudest: float, nats: float, la
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_every_accused_effect_is_fitted(monkeypatch, simulated: bool) -> None:
+def test_every_named_effect_is_fitted(monkeypatch, simulated: bool) -> None:
     """An effect missed by screening but named by the verdict is fitted once and weighed again."""
     known = [effect("plate_tilt"), effect("rigid_motion")]
     fitted_at_weighing = []

@@ -114,7 +114,7 @@ def test_a_field_alone_is_none_of_these():
 
 
 def test_an_imitation_is_none_of_these():
-    """With an error of form that no real effect has, the same pattern gains 5 nats."""
+    """With a form error that no real effect has, the same pattern gains 5 nats."""
     likeness = Hypothesis(("a",), 0.0, acting=0.1)
     found = weigh(likeness)
     assert found.probabilities["a"] == pytest.approx(0.1, abs=1e-6)
@@ -170,7 +170,7 @@ def test_three_effects_are_named():
     assert set(found.primary) == {"a", "b", "c"}
 
 
-def test_hidden_effects_are_neither_accused_nor_acquitted():
+def test_hidden_effects_are_neither_named_nor_ruled_out():
     """It keeps its evidence in the sum and counts towards no gap."""
     louder = weigh(Hypothesis(("a",), -80.0), Hypothesis(("d",), -60.0), hiding={"d"})
     assert (louder.kind, louder.primary, louder.hidden) == ("no-gap", (), ("d",))
@@ -185,7 +185,7 @@ def test_hidden_effects_are_neither_accused_nor_acquitted():
     )
 
 
-def test_a_visible_effect_is_accused_with_a_hidden_one():
+def test_a_visible_effect_is_named_with_a_hidden_one():
     """What hides explains more than the effect does, and both together more than either."""
     alone = Hypothesis(("a",), -94.0), Hypothesis(("d",), -89.0)
     assert weigh(*alone, hiding={"d"}).kind == "no-gap"

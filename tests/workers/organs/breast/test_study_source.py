@@ -67,7 +67,7 @@ def own() -> StudySource:
 
 
 def test_a_target_with_hidden_constants_shows_no_gap(own: StudySource, tmp_path: Path) -> None:
-    """None of all the effects that a breast may lack is accused."""
+    """None of all the effects that a breast may lack is named."""
     store = diagnosed_store(own, tmp_path / "store", 5000, 6.0)
     inverse, found = store.inverse, store.nominal
     linear = found.linearised(inverse)

@@ -10,7 +10,7 @@
     cause_places                               where a lump was tried
 
 A frame is an array (2, 3): the spacing and the centre of the first voxel, (x, y, z) in mm.
-<when> is "before" for the fitted nominal model, or "after" with the accused effects.
+<when> is "before" for the fitted nominal model, or "after" with the named effects.
 """
 
 from collections.abc import Mapping, Sequence
@@ -54,7 +54,7 @@ def bodies(
     observed : sequence of Volume
         Labels of the loaded scans.
     predicted : mapping of str to sequence of Volume
-        For "before", and "after" if an effect is accused: see
+        For "before", and "after" if an effect is named: see
         `workers.diagnosis.outcome.pictures.overlap.predict`. Cropped like the scans.
 
     Raises
@@ -83,7 +83,7 @@ def local_means(fits: Mapping[str, Linearised], points: InterfacePoints) -> Arra
     Parameters
     ----------
     fits : mapping of str to Linearised
-        For "before", and "after" if an effect is accused.
+        For "before", and "after" if an effect is named.
     points : InterfacePoints
         Points of the body at rest, k in each scan.
     """

@@ -24,7 +24,7 @@ from palpate.workers.scan_threads import Each
 
 Displacements = Mapping[str, Sequence[FloatArray]]
 """Displacements of the finest nodes in mm, one for each scan: "before", and "after" with the
-accused effects, if any."""
+named effects, if any."""
 
 
 def pictures_of_scans(

@@ -9,7 +9,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from palpate.service.bench.strategies import NEAR, Improvement, Reached
 from palpate.service.report.drawing.canvas import TEXT_PT, calm, figure, svg
-from palpate.service.report.drawing.palette import BLUE, INK, ORANGE
+from palpate.service.report.drawing.palette import BLUE, GREEN, INK, ORANGE, PINK
 from palpate.storage.backends.atomic import write_file
 
 if TYPE_CHECKING:
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 WIDTH_IN, HEIGHT_IN = 10.4, 6.4
 COLOURS = {
     "least-squares": BLUE,
-    "genetic+least-squares": "#009e73",
+    "genetic+least-squares": GREEN,
     "genetic": ORANGE,
-    "cma": "#cc79a7",
+    "cma": PINK,
 }
 # Smaller errors are due to rounding and to the voxels.
 LEAST_ERROR = 1e-5

@@ -18,6 +18,7 @@ from palpate.workers.body.mesh.boundary import boundary_triangles
 
 FRAMES, HELD, PER_SECOND = 16, 6, 8
 SIZE_IN, DPI = (5.6, 4.4), 100
+# As on the pages, which exports do not depend on: `palpate.service.report.drawing.palette`.
 COLOURS = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
 PLATE = "#4d7fa8"
 # The view used on the pages: plates press along y, which points up.

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 
 from palpate.service.formatting import label
 from palpate.service.report.drawing.canvas import SMALL_PT, TEXT_PT, calm, figure, legend
-from palpate.service.report.drawing.palette import BLUE, GREY, INK, ORANGE, SOFT_INK, VERMILION
+from palpate.service.report.drawing.palette import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    PINK,
+    SOFT_INK,
+    VERMILION,
+)
 from palpate.service.thesis import printed
 from palpate.service.thesis.results import FoundSearch, Varied
 from palpate.workers.comparison.coefficients.coefficients import HAUSDORFF_NAMES
@@ -21,8 +30,7 @@ from palpate.workers.thesis.selection import Selection
 
 WIDTH_IN = 10.4
 TARGET_LINE: Mapping[str, Any] = {"color": INK, "linewidth": 1.1, "linestyle": (0, (2, 2))}
-# Okabe and Ito (2008), in addition to the blue, orange and grey of all charts.
-LINES = (BLUE, ORANGE, "#009e73", "#cc79a7", VERMILION, GREY)
+LINES = (BLUE, ORANGE, GREEN, PINK, VERMILION, GREY)
 KIND_COLOURS = dict(
     zip(
         ("homogeneous", "adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm", "fTetWild"),

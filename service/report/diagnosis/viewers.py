@@ -12,8 +12,8 @@ from palpate.service.report.diagnosis.slice_fields import MEANINGS, slice_fields
 from palpate.service.report.diagnosis.slices import titled
 from palpate.service.report.diagnosis.surfaces import FARTHEST_MM
 from palpate.service.report.diagnosis.where import PARTS, on_surfaces
+from palpate.service.report.drawing import palette
 from palpate.service.report.drawing.packed import script
-from palpate.service.report.drawing.palette import TISSUES
 from palpate.service.report.drawing.plates import plates_touching
 from palpate.service.report.drawing.slices import VIEWS, middle_mm
 from palpate.service.report.viewers.body import BodyScan, BodySurface, body_viewer
@@ -24,7 +24,6 @@ from palpate.workers.diagnosis.problem.acquisition import INTERFACES
 from palpate.workers.mechanics.pressed import Pressed
 
 WHEN = ("before", "after")
-COLOURS = {"outline": "#e9d3b4", "glandular": "#c2628f"}
 OVERLAY = (
     ("outside of both", "#ffffff00"),
     ("other tissue in both", "#8a94a12e"),
@@ -127,7 +126,7 @@ def slice_data(
             SlicePanel("Difference: $choice", "overlay", ("scan", "$choice"), gland),
         ],
         VIEWS[:1] if next(iter(sets[0].volumes.values())).values.shape[0] == 1 else VIEWS,
-        {int(t): (t.name.lower(), colour) for t, colour in TISSUES.items() if t},
+        {int(t): (t.name.lower(), colour) for t, colour in palette.TISSUES.items() if t},
         OVERLAY,
         models,
         MEANINGS,
@@ -137,7 +136,7 @@ def slice_data(
 
 def _surface(found: Arrays, name: str) -> BodySurface:
     vertices, triangles = (found[f"shape_{name}_{part}"] for part in PARTS)
-    return BodySurface(name, COLOURS[name], np.asarray(vertices, np.float64), triangles)
+    return BodySurface(name, palette.INTERFACES[name], np.asarray(vertices, np.float64), triangles)
 
 
 def _moved(

@@ -13,8 +13,6 @@ from palpate.storage.values import FloatArray
 
 # Both ends are equally dark; the middle is not white, which would vanish on paper.
 SIGNED = ("#053c5e", "#0072b2", "#9fc3dc", "#c9c5bd", "#eeb083", "#c44e00", "#6b2500")
-# For lengths, from pale to dark.
-SEQUENTIAL = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
 BAR_PX = 14.0
 # Minimum distance of ticks.
 TICK_PX = 20.0

@@ -1,6 +1,6 @@
 """Colours that readers with colour vision deficiency can distinguish.
 
-Charts use the blue, orange and greys of Okabe and Ito (2008). Tissues differ in
+Charts use the colours of Okabe and Ito (2008) and greys. Tissues differ in
 lightness as well as in hue, so that a page printed in grey can still be read.
 """
 
@@ -19,6 +19,10 @@ BLUE = "#0072b2"
 ORANGE = "#e69f00"
 VERMILION = "#c44e00"
 GREY = "#8a94a1"
+GREEN = "#009e73"
+PINK = "#cc79a7"
+# From pale to dark, for lengths.
+SEQUENTIAL = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
 
 TISSUES: dict[Tissue, str] = {
     Tissue.AIR: "#ffffff",
@@ -29,6 +33,8 @@ TISSUES: dict[Tissue, str] = {
     Tissue.LIGAMENT: "#86b4c9",
 }
 UNKNOWN = "#000000"
+# Surfaces in a viewer, lighter than the tissues of a slice.
+INTERFACES = {"outline": "#e9d3b4", "glandular": "#c2628f"}
 
 
 class Difference(IntEnum):

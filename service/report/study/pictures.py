@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from palpate.service.formatting import bare, label, number
 from palpate.service.report.drawing.packed import Json, script
-from palpate.service.report.drawing.palette import DIFFERENCES, TISSUES, Difference
+from palpate.service.report.drawing.palette import DIFFERENCES, INTERFACES, TISSUES, Difference
 from palpate.service.report.drawing.pictures import Picture, chart, small_chart
 from palpate.service.report.drawing.plates import Plates, plates_touching
 from palpate.service.report.drawing.slices import AXES, VIEWS
@@ -229,7 +229,7 @@ def body_data(bodies: Bodies, case: CaseSpec) -> Json | None:
     if not bodies.surfaces:
         return None
     surfaces = [
-        BodySurface(s.name, _COLOUR.get(s.name, TISSUES[Tissue.FAT]), s.vertices, s.triangles)
+        BodySurface(s.name, INTERFACES.get(s.name, TISSUES[Tissue.FAT]), s.vertices, s.triangles)
         for s in bodies.surfaces
     ]
     scan = BodyScan(
@@ -259,7 +259,6 @@ def stage_picture(seconds: Mapping[str, float]) -> Picture | None:
     )
 
 
-_COLOUR = {"outline": "#e9d3b4", "glandular": "#c2628f"}
 _MEANING = (
     "outside of both bodies",
     "rest of the body",

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from palpate.service.formatting import number
-from palpate.service.report.drawing.colour_scale import SEQUENTIAL, SIGNED
+from palpate.service.report.drawing.colour_scale import SIGNED
 from palpate.service.report.drawing.packed import Json, packed, packed_points, packed_triangles
+from palpate.service.report.drawing.palette import SEQUENTIAL
 from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.mechanics.pressed import Pressed
 

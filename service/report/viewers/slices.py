@@ -7,8 +7,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from palpate.service.report.drawing.colour_scale import SEQUENTIAL
 from palpate.service.report.drawing.packed import Json, body_box_mm, packed_volume, thinned
+from palpate.service.report.drawing.palette import SEQUENTIAL
 from palpate.service.report.drawing.plates import Plates
 from palpate.service.report.drawing.slices import View
 from palpate.storage.values import Triple, Volume

@@ -17,7 +17,7 @@ from palpate.storage.records.typed_json import to_json
 from palpate.workers.diagnosis.schema.summary import ConstantEstimate, Summary
 from palpate.workers.diagnosis.verdict.verdict import NO_GAP
 
-# Smaller changes of a constant by an effect are ignored.
+# Smaller changes in a constant due to an effect are ignored.
 SAME = 0.05
 KPA_ENDING = "_kpa"
 
@@ -71,7 +71,7 @@ def unit_of(name: str) -> str:
 
 
 def change(constant: ConstantEstimate) -> float:
-    """Return the relative change of a constant by the named effects; 0 if unknown."""
+    """Return the relative change in a constant due to the named effects; 0 if unknown."""
     found = signed_error(constant.after, constant.before)
     return 0.0 if found is None else abs(found)
 

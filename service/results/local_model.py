@@ -187,8 +187,8 @@ class LocalModel:
         Parameters
         ----------
         slope : mapping of str to float
-            Derivatives of the value's logarithm by the logarithms of the constants, by
-            internal name; constants that are not searched are left out.
+            Derivatives of the value's logarithm with respect to the logarithms of the constants,
+            by internal name; constants that are not searched are left out.
         mesh_shift, mesh_sd : float, optional
             Relative increase of the value due to the mesh, and its standard deviation, if they
             are known better than from the least-squares problem on another mesh.

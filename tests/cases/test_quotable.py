@@ -233,7 +233,7 @@ def test_force_error_is_always_included() -> None:
     others = OtherProblems(with_nuisance("ln_plate_force", 0.0, -1e4), (FORCE,))
     others_fit = others.nuisances
     assert others_fit is not None
-    others_fit["hessian"][2][2] = 1e4  # the same change of the residuals: not identifiable
+    others_fit["hessian"][2][2] = 1e4  # the same change in the residuals: not identifiable
     found = identified(fit(), others)
     assert found.constants["E_fat"].errors["the force"] == pytest.approx(0.8, rel=1e-3)
     assert studied(found).estimates["E_fat"].quotable

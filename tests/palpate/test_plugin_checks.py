@@ -174,7 +174,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
         lambda: check_effect(replace(RIGID_MOTION, observation=_wrong_rows)),
         "one row a point and one column a parameter",
     ),
-    "a law whose stress is no derivative": (
+    "a law whose stress is not the derivative of its energy": (
         lambda: check_law(WrongStress(0.003)),
         "the stress is not the derivative of the energy",
     ),

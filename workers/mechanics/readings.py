@@ -111,7 +111,7 @@ def shown(
 def shown_change(reading: Reading, size: float, unit: str) -> tuple[float, str]:
     """Return the size of a change from the neutral value, and its unit.
 
-    Changes of a ratio, and of 1 - 2 nu, are in per cent.
+    Changes in a ratio, and in 1 - 2 nu, are in per cent.
 
     Examples
     --------

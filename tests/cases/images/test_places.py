@@ -215,9 +215,9 @@ class TestSlices:
         [
             ([f"slice{z}.tif" for z in range(25) if z != 12], r"number 12 \(between slice11"),
             ([f"z{z * 0.5}.tif" for z in range(9) if z not in (3, 4)], r"number 1\.5, 2 \("),
-            (["s1.tif", "s2.tif", "s02.tif"], "two slices of the number 2: s02.tif and s2.tif"),
+            (["s1.tif", "s2.tif", "s02.tif"], "two slices numbered 2: s02.tif and s2.tif"),
             (["s1.tif", "s2.tif", "s3.5.tif", "s4.tif"], r"differ by 1\.5 between"),
-            (["t1z1.tif", "t1z2.tif", "t2z1.tif", "t2z2.tif"], "two slices of the number"),
+            (["t1z1.tif", "t1z2.tif", "t2z1.tif", "t2z2.tif"], "two slices numbered"),
             (["s1.tif", "s2.tif", "mask3.tif"], "differ in more than a number"),
             (["a1_z3.tif", "a2_z2.tif", "a3_z1.tif"], "give different orders"),
         ],

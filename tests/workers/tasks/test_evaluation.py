@@ -249,7 +249,7 @@ def test_stored_volume_is_found_by_digest_and_by_name(tmp_path):
 
 
 def test_missing_volume_lists_the_searched_places(tmp_path):
-    with pytest.raises(InputError, match=r"neither a file or folder .* nor a volume of the store"):
+    with pytest.raises(InputError, match=r"neither a file or folder .* nor a volume in the store"):
         tasks.make_target(CASE, {"volume": "nowhere"}, str(tmp_path / "store"))
 
 

@@ -75,7 +75,7 @@ def _of_json(text: str, path: Path) -> dict[int, str]:
                 '"fat".'
             )
         if int(label) in names:
-            raise InputError(f"{path} names the label {label} twice. Keep one name.")
+            raise InputError(f"{path} names label {label} twice. Keep one name.")
         names[int(label)] = name.strip()
     return _some(names, path)
 

@@ -28,7 +28,7 @@ def label_map(given: Any) -> Any:
     for key, value in given.items():
         label = _label(key)
         if label in tissues:
-            raise ValueError(f"the label {label} is named twice: keep one")
+            raise ValueError(f"label {label} is named twice: keep one")
         tissues[label] = _tissue(label, value)
     return tissues
 

@@ -94,8 +94,8 @@ def check_attached(path: Path, what: str) -> None:
 
 def _refuse_other_file(what: str, name: str) -> NoReturn:
     raise InputError(
-        f"{what} names another file for its data, {name[:80]!r}. Save it as one file; on your own "
-        f"machine, a header with the suffix {HEADER_SUFFIX} may name one."
+        f"{what} keeps its data in another file, {name[:80]!r}. Save both as one file. (On your "
+        f"own machine, a header with the suffix {HEADER_SUFFIX} may have a separate data file.)"
     )
 
 

@@ -269,7 +269,7 @@ def _unreadable(
     for (name, line, text), point, comma in known:
         if not point and not comma:
             return (
-                f"{path}, line {line}: {_short(text)!r} in the column {name} is no number. "
+                f"{path}, line {line}: {_short(text)!r} in column {name} is not a number. "
                 "Expected numbers, and an empty cell or nan where nothing was measured."
             )
     if all(points):

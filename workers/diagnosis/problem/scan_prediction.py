@@ -145,7 +145,7 @@ def compared_points(
 
 @dataclass(frozen=True, eq=False)
 class ScanJacobian:
-    """Derivatives of one scan by all parameters, shape (k, p), and the values `z` used.
+    """Derivatives of one scan in all parameters, shape (k, p), and the values `z` used.
 
     `moved` are the tangents of the nodes' displacements, (p, n, 3). `fresh` is False if a column
     was reused from nearby parameter values.
@@ -165,7 +165,7 @@ def derivatives(
     prediction: PredictedScan,
     before: ScanJacobian | None = None,
 ) -> ScanJacobian:
-    """Return the derivatives of the residual by every parameter.
+    """Return the derivatives of the residual with respect to every parameter.
 
     Tangents describe only the last load step. For a path-dependent effect, such as friction, the
     derivative comes from another simulation, unless `before` was computed at about the same value;
@@ -215,7 +215,7 @@ def _columns_of_all(
     prediction: PredictedScan,
     moved: FloatArray,
 ) -> FloatArray:
-    """Return derivatives of the residual by all parameters, given the motion of the nodes."""
+    """Return derivatives of the residual in all parameters, given the motion of the nodes."""
     observed = [(e, unknowns.of_effect(e, z)) for e in unknowns.effects if not e.acts_on_body]
     columns = _along_motions(inverse, prediction, moved, observed)
     for effect, _ in observed:
@@ -249,7 +249,7 @@ def columns_of(
     changes: Sequence[Change],
     tolerance: float = RELATIVE_ERROR,
 ) -> FloatArray:
-    """Return derivatives of the residual by changes of the problem, shape (k, c).
+    """Return derivatives of the residual for changes in the problem, shape (k, c).
 
     `tolerance` is passed to `tangents`.
     """
@@ -294,7 +294,7 @@ def _shift_along(
 def observed_columns(
     inverse: InverseProblem, effect: Effect, prediction: PredictedScan
 ) -> FloatArray:
-    """Return derivatives by the parameters of an effect on the observation, shape (k, q)."""
+    """Return derivatives in the parameters of an effect on the observation, shape (k, q)."""
     if effect.observation is None:
         raise ValueError(f"{effect.name} acts on the body")
     places = _seen_by(effect, inverse, prediction.followed, prediction.at)
@@ -318,7 +318,7 @@ def _seen_by(
 def _moves(
     effect: Effect, inverse: InverseProblem, followed: FollowedPoints, u: FloatArray
 ) -> FloatArray:
-    """Return the change of an effect's input for motion `u` of the nodes, shape (k, 3)."""
+    """Return the change in an effect's input for motion `u` of the nodes, shape (k, 3)."""
     if effect.sees != "arms":
         return np.asarray(followed.at_points @ u)
     if inverse.arms is None:

@@ -97,7 +97,7 @@ class SheetEquilibrium:
         return np.asarray((pushed / J[..., None, None]).mean(axis=1))
 
     def tangents(self, changes: Sequence[Change]) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of displacements and reactions by changes of the problem.
+        """Return the derivatives of displacements and reactions for changes in the problem.
 
         Returns
         -------

@@ -164,7 +164,7 @@ class SheetSystem:
         return part * (self.dead_n + self._at_nodes(pushed))
 
     def stiffness(self, x: FloatArray, response: PlaneStress, part: float = 1.0) -> csc_array:
-        """Return the derivative of the out-of-balance force by `x`, shape (3 n, 3 n)."""
+        """Return the derivative of the out-of-balance force in `x`, shape (3 n, 3 n)."""
         g, f = self.model.gradients, self.tangents_of_plane(x)
         m = len(g)
         strains = np.zeros((m, 3, 3, 6, 3))  # triangle, point, strain, node, axis

@@ -194,7 +194,7 @@ def _observed(
     observation: BreastObservation,
     model: Model,
 ) -> FloatArray:
-    """Return the derivatives of the residuals by a parameter of the observation."""
+    """Return the derivatives of the residuals with respect to a parameter of the observation."""
     effect: Effect = OBSERVED[name]
     if effect.observation is None:
         raise AssertionError(f"{effect.name} changes the problem, not the observation")
@@ -253,7 +253,7 @@ def _by_solving(
     p: FreeParameter,
     observation: BreastObservation,
 ) -> FloatArray:
-    """Return the derivative by a path-dependent parameter."""
+    """Return the derivative with respect to a path-dependent parameter."""
     h = PATH_STEP * (p["upper"] - p["lower"])
     value = constants[p["name"]]
     ahead = equilibrium(model, problem_of({**constants, p["name"]: value + h}), at)

@@ -146,7 +146,7 @@ def test_reads_units_and_modes_of_a_table(tmp_path):
     [
         ("stretch,stress\n1.1,2\n", "stress_kpa"),
         ("stretch,strain,stress_kpa\n1.1,0.1,2\n", "one column of the deformation"),
-        ("stretch,stress_kpa\n1.1,much\n", "line 2: stress_kpa is no number, found 'much'"),
+        ("stretch,stress_kpa\n1.1,much\n", "line 2: stress_kpa is not a number, found 'much'"),
         ("stretch,stress_kpa\n1.1\n", "line 2: stress_kpa"),
         ("stretch,stress_kpa,mode\n1.1,2,shear\n", "uniaxial, equibiaxial, planar"),
         ("stretch,stress_kpa\n", "no rows"),

@@ -87,7 +87,7 @@ class Tangent:
     contact_index : ndarray of int32, shape (c,)
         The nodes on which `coupling` acts.
     coupling : ndarray, shape (c, 3)
-        Border of the tangent: its derivative by the travel of the plates, in N/mm.
+        Border of the tangent: derivatives in the travel of the plates, in N/mm.
     plate_stiffness : float
         Corner of the border; zero means that the plates do not move.
     """

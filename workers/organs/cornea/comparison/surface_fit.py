@@ -186,7 +186,7 @@ def _change(
 
 
 def _by_solving(ahead: Candidate, displacement_mm: FloatArray, step: float) -> FloatArray:
-    """Return the derivative by a parameter at zero by a forward difference; zero if it fails."""
+    """Return the derivative in a parameter at zero, by a forward difference; zero if it fails."""
     solution = equilibrium(ahead.prepared, ahead.constants, ahead.load).solution
     if not solution.converged:
         return np.zeros_like(displacement_mm)

@@ -130,7 +130,7 @@ def _check_observation(effect: Effect, problem: Problem) -> None:
         f"{effect.name} must return one row a point and one column a parameter, "
         f"{(len(points), len(effect.parameters))}, found {columns.shape}.",
     )
-    claim(np.isfinite(columns).all(), f"{effect.name} moves points by numbers that are not finite.")
+    claim(np.isfinite(columns).all(), f"{effect.name} moves points by non-finite amounts.")
     claim(columns.any(axis=0).all(), f"{effect.name} has a parameter that moves no point.")
 
 

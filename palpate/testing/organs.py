@@ -138,7 +138,7 @@ def _check_fit(
     plain = organ.solve(model, organ.problem(model, spec, constants, where)).displacement_mm
     claim(
         np.allclose(here.solution.displacement_mm, plain, atol=1e-6),
-        f"A fit of {organ.name} finds another displacement than a plain solution.",
+        f"A fit of {organ.name} finds a different displacement from a plain solution.",
     )
     claim(here.residuals is not None, f"A fit of {organ.name} has no residuals.")
     equations = here.residuals.equations

@@ -71,7 +71,7 @@ def _check_fold(
         )
         again = strategy.make(asked).propose(history[:k])
         same = isinstance(again, Proposal) and np.array_equal(again.genes, genes)
-        claim(same, f"{strategy.name} resumed before generation {k} proposes something else.")
+        claim(same, f"{strategy.name} resumed before generation {k} proposes different candidates.")
 
 
 def _followed(

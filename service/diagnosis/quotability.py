@@ -77,7 +77,7 @@ def change(constant: ConstantEstimate) -> float:
 
 
 def is_lead(summary: Summary) -> bool:
-    """Return whether there may be no gap, or the gap is as large on held-out scans."""
+    """Check whether there may be no gap, or the effect may not reduce it on held-out scans."""
     share = summary.gap_mm.held_out_share
     return NO_GAP in summary.set90 or (share is not None and share.low < 0)
 

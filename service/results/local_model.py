@@ -173,7 +173,7 @@ class LocalModel:
 
     @property
     def error_root(self) -> FloatArray:
-        """Return a root of the covariance of all errors, shape (p, k)."""
+        """Return a square root of the covariance of all errors, shape (p, k)."""
         return np.column_stack([*(source.root for source in self.sources), self.unseen_root])
 
     def relative_interval(
@@ -287,7 +287,7 @@ class LocalModel:
         return np.asarray((vectors / self.eigenvalues[self.seen]) @ vectors.T)
 
     def _unseen_root(self, bounds: FloatArray) -> FloatArray:
-        """Return a root of the covariance along unidentified directions, shape (p, k).
+        """Return a square root of the covariance along unidentified directions, shape (p, k).
 
         Along each of the k directions the whole searched interval is possible.
         """

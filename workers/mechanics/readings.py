@@ -80,7 +80,7 @@ def shown(
     ----------
     reading : Reading
     value, sd, neutral, least : float
-        In door units; values below `least` are meaningless.
+        In interface units; values below `least` are meaningless.
     unit : str
         Symbol of the parameter's unit.
     nu : float, optional

@@ -69,7 +69,7 @@ def _check_images(spec: StudySpec, uploads: Uploads, store: Store) -> None:
 
 
 def _in_store(name: str, store: Store) -> bool:
-    """Return whether the store has a volume with this digest or name."""
+    """Check whether the store has a volume with this digest or name."""
     with suppress(StoreError):  # not the name of a volume
         if has_volume(store, name):
             return True

@@ -291,11 +291,11 @@ class TestAnatomicalAxes:
         np.testing.assert_array_equal(by_letters.values, by_axes.values)
         assert by_letters.origin_mm == by_axes.origin_mm
 
-    def test_refuses_letters_that_mirror(self, tmp_path: Path) -> None:
+    def test_refuses_axis_letters_that_mirror_the_image(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"R S A would mirror.*for example L S A"):
             read_volume(write_nrrd(tmp_path / "a.nrrd", breast()), axes="R S A")
 
-    def test_refuses_letters_without_a_patient(self, tmp_path: Path) -> None:
+    def test_refuses_axis_letters_for_a_file_without_orientation(self, tmp_path: Path) -> None:
         np.save(tmp_path / "a.npy", breast())
         with pytest.raises(InputError, match=r"anatomical, but .*a\.npy does not state"):
             read_volume(tmp_path / "a.npy", spacing_mm=(2.0, 2.0, 2.0), axes="L S A")

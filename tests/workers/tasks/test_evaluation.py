@@ -259,8 +259,8 @@ def test_refuses_skin_that_the_mesh_cannot_resolve(study):
         tasks.prepare_case(case, study.store)
 
 
-def test_imaged_plates_are_at_the_target(study):
-    """The plates of an imaged target are found at any position of the target."""
+def test_plates_of_an_imaged_target_are_placed_at_the_target(study):
+    """Also if the target is shifted."""
     case = CASE | {"load": {"plate_distance_mm": {"final": 44}}}
     made = tasks.make_target(case, {"constants": HIDDEN}, study.store)
     body = load_volume(study.house, made["target"])

@@ -99,10 +99,10 @@ class Effect:
         Their neutral values are numbers. A parameter whose admissible interval begins at
         its neutral value is one-sided.
     prior_sd : tuple of float
-        Prior standard deviation of each parameter, inside units; of the half-normal
+        Prior standard deviation of each parameter, internal units; of the half-normal
         where it is one-sided.
     steps : tuple of float
-        Step of each parameter for differentiating the out-of-balance force, inside units.
+        Step of each parameter for differentiating the out-of-balance force, internal units.
     transform : callable
         Maps problem, values of all parameters and frame of the body to the problem
         with the effect. An effect on the observation returns the problem itself.
@@ -141,7 +141,7 @@ class Effect:
         Whether an effect on the observation rotates, scales or shears about the middle of
         the body. Default False: it does not depend on that point.
     held_sd : tuple of float
-        Standard deviation of each parameter where a case states it, inside units: an
+        Standard deviation of each parameter where a case states it, internal units: an
         uncertainty common to all hypotheses. Default empty: a stated value is exact.
     resembles_roughness : bool
         Whether a rough segmentation of the body at rest looks like this effect, whose first
@@ -225,7 +225,7 @@ class Effect:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the inside names of the parameters, in order."""
+        """Return the internal names of the parameters, in order."""
         return tuple(p.name for p in self.parameters)
 
     @property

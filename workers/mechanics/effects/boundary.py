@@ -223,7 +223,7 @@ TURNS = ("base_turn_x", "base_turn_y", "base_turn_z")
 
 @dataclass(frozen=True, slots=True)
 class BaseMotionColumns:
-    """Columns of a rigid motion of the base, which turns about `centre_mm`."""
+    """Columns of a rigid motion of the base, which rotates about `centre_mm`."""
 
     centre_mm: Triple
 
@@ -242,7 +242,7 @@ def base_motion(centre_mm: Triple) -> Effect:
         summary="The base moved when the load came on, and the body with it.",
         parameters=(
             *(two_sided(n, MM, 3.0, f"shift of the base along {n[-1]}") for n in SHIFTS),
-            *(two_sided(n, DEGREE, 3.0, f"turn of the base about {n[-1]}") for n in TURNS),
+            *(two_sided(n, DEGREE, 3.0, f"rotation of the base about {n[-1]}") for n in TURNS),
         ),
         prior_sd=(0.3,) * 3 + (0.3,) * 3,
         steps=(0.01,) * 6,

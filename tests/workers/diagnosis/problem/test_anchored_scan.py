@@ -76,7 +76,7 @@ def test_distance_of_a_round_body_is_unbiased(step):
 
 
 def test_growth_of_a_small_lump_is_unbiased():
-    """No disc of the noise's length is flat on a radius of 8 mm, and the average is less steep."""
+    """At a radius of 8 mm, a disc of the noise's length is not flat and its mean less steep."""
     on = RNG.standard_normal((200, 3))
     on *= 8.0 / np.linalg.norm(on, axis=1)[:, None]
     lump = scan(lambda points, of: (ball(points, of)[0] + 32.0, ball(points, of)[1]))

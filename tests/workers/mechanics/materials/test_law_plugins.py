@@ -47,7 +47,7 @@ def made_by(plugin: LawPlugin, shape: dict[str, float], noise: float = 0.0) -> l
     return tables
 
 
-def test_covers_every_own_law():
+def test_covers_every_built_in_law():
     assert set(law_names()) >= set(SHAPES)
 
 

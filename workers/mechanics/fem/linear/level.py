@@ -184,7 +184,7 @@ class Level:
         return self.problem.membrane is not None and self.problem.membrane.wrinkles
 
     def is_conservative(self, state: State) -> bool:
-        """Return whether all forces have an energy: no friction and no follower pressure."""
+        """Check whether all forces have an energy: no friction and no follower pressure."""
         return not state.history.friction and not self.problem.pressures
 
     def with_prescribed(self, x: FloatArray, fraction: float) -> FloatArray:

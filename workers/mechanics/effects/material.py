@@ -419,7 +419,7 @@ SKIN_ADDED = Effect(
     summary="The skin adds a stiffness that the model lacks.",
     parameters=(
         from_zero(
-            ADDED, N_PER_M, N_PER_M.to_inside(5000.0), "E t of the skin on top of the model's"
+            ADDED, N_PER_M, N_PER_M.to_inside(5000.0), "E t of the skin in addition to the model's"
         ),
     ),
     prior_sd=(N_PER_M.to_inside(1000.0),),

@@ -23,7 +23,7 @@ RELAXED = replace(
 # the closest listed effect.
 NOT_SIMULATED: tuple[tuple[str, str], ...] = (
     ("slip in a grip", "moved regions follow the stated or measured displacement exactly"),
-    ("layers and inclusions", "each material is the same everywhere in its part of the body"),
+    ("layers and inclusions", "each material is uniform in its part of the body"),
     ("fibres", "the law of the material has no direction"),
     ("stress at rest", "the body is free of stress in the shape that the file describes"),
     ("friction", "held or loaded regions do not slide on a support"),

@@ -44,7 +44,7 @@ class Device:
     lower_share : float
         Share of the travel made by the lower plate, 0 to 1.
     friction : float
-        Coulomb's coefficient between skin and both plates.
+        Coulomb friction coefficient between skin and both plates.
     edge_mm : float, optional
         Start of the flat part of both plates along the second in-plane axis; behind it their
         rounding curves away from the body. None for plates without an edge.

@@ -82,7 +82,7 @@ def test_installed_plugin_fulfils_the_plugin_contracts(site: Path) -> None:
     python(site, "-m", "pytest", *options, PLUGIN / "tests")
 
 
-def test_a_study_searches_its_effect_and_minimises_its_score(site: Path, study: Path) -> None:
+def test_a_study_uses_the_effect_and_the_score_of_a_plugin(site: Path, study: Path) -> None:
     found = json.loads(python(site, "-m", "palpate", "report", study, "--json"))
     assert set(found["estimates"]) == {"E_fat", "side_weight"}
     lines = [json.loads(line) for line in (study / "journal.jsonl").read_text().splitlines()]

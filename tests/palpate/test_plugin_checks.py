@@ -70,7 +70,7 @@ def test_strategies_that_ship_pass(strategy: Strategy) -> None:
     check_search(strategy)
 
 
-def test_organs_that_ship_pass() -> None:
+def test_built_in_organs_pass() -> None:
     check_organ(BREAST_PLUGIN, BREAST_CASE, free=["E_fat", "E_glandular"])
     check_organ(CORNEA_PLUGIN, CORNEA_CASE, free=["mu1"])
 

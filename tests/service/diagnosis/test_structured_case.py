@@ -46,7 +46,7 @@ def test_structured_json_is_read_too(case: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["diagnose", "plan"])
-def test_a_case_in_prose_is_refused_with_what_to_write(
+def test_a_case_in_prose_is_refused_with_the_command_to_use(
     case: Path, tmp_path: Path, call: Call, command: str
 ) -> None:
     (case / "case.yaml").unlink()

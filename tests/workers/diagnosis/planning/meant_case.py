@@ -39,5 +39,5 @@ def at_force(force_n: float) -> dict:
 
 
 def at_distance(distance_mm: float) -> dict:
-    """The same with plates that are put at a distance."""
+    """The same with plates at a given distance."""
     return {"volume": f"not_there_{distance_mm:g}mm.nrrd", "plate_distance_mm": distance_mm}

@@ -1,4 +1,4 @@
-"""The same equilibrium by other paths: in stages, and from a neighbour."""
+"""The same equilibrium by other paths: in stages, and from a nearby problem."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -187,7 +187,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
         lambda: check_score(Objective("apart", "Apart", measure=_overwriting)),
         "differs from one call to the next|changes the bodies",
     ),
-    "a search that draws anew": (
+    "a search that redraws candidates": (
         lambda: check_search(_strategy(Drawn)),
         "proposes something else",
     ),

@@ -7,7 +7,7 @@ from typing import Any
 from palpate.storage.errors import InputError
 from palpate.workers.body.images.labels import tissue_named
 
-FORMS = "such as {0: air, 1: fat}, by name such as {Adipose: fat}, or a file that names labels"
+FORMS = "a mapping such as {0: air, 1: fat} or {Adipose: fat}, or a file that names labels"
 
 
 def label_map(given: Any) -> Any:

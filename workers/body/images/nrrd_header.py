@@ -173,7 +173,7 @@ def _voxels(path: Path, file: BinaryIO, header: dict[str, Any]) -> NDArray[Any]:
 def _dtype(path: Path, header: dict[str, Any]) -> np.dtype[Any]:
     kind = str(header["type"]).lower()
     if kind not in _CODES:
-        raise InputError(f"{path} has voxels of type {kind[:40]!r}, expected such as uint8.")
+        raise InputError(f"{path} has voxels of type {kind[:40]!r}, expected a type such as uint8.")
     code = _CODES[kind]
     text = str(header["encoding"]).lower() in _TEXT
     if code.endswith("1") or text:

@@ -297,5 +297,6 @@ def _in_words(noise: SegmentationNoise, imaged: bool) -> str:
         return f"{voxel * np.hypot(MOVED_VOXELS, NUGGET_VOXELS):.2g} mm at each point {plates}"
     return (
         f"{noise.sd_mm:.2g} mm along the normal of the target's interfaces and of those at rest, "
-        f"alike over {noise.correlation_mm:.2g} mm, {noise.nugget_mm:.2g} mm at each point {plates}"
+        f"correlated over {noise.correlation_mm:.2g} mm, {noise.nugget_mm:.2g} mm at each point "
+        f"{plates}"
     )

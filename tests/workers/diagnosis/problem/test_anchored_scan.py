@@ -44,7 +44,7 @@ def test_at_the_anchor_nothing_changes():
 
 
 def test_a_body_that_slides_keeps_its_noise():
-    """3 mm along the plane do not move the interface; evaluated anew, its error would differ."""
+    """3 mm along the plane do not move the interface; evaluated again, its error would differ."""
     there = anchored(scan(drawn_plane), POINTS, NOTHING, LENGTH_MM)
     at_rest = drawn_plane(POINTS, NOTHING)[0]
     slid = POINTS + np.array([3.0, 0.0, 0.0])

@@ -53,7 +53,7 @@ def pixel_rounding(pixel_um: float) -> ContourNoise:
 
 
 # Error of the segmentation of one frame, or of a model.
-MODEL_ERROR = ContourNoise("20 µm, alike over 0.5 mm", 20.0, 0.5)
+MODEL_ERROR = ContourNoise("20 µm, correlated over 0.5 mm", 20.0, 0.5)
 
 
 @dataclass(frozen=True, eq=False)

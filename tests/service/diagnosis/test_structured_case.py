@@ -18,7 +18,7 @@ Call = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def case(tmp_path: Path) -> Path:
-    """A block of fat around glandular tissue, which stands for its scans as well."""
+    """A block of fat around glandular tissue, which also represents its scans."""
     folder = tmp_path / "small"
     folder.mkdir()
     values = np.zeros((10, 14, 14), np.uint8)

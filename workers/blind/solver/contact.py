@@ -44,7 +44,7 @@ class Plate(NamedTuple):
     Initial position along d.
         Along d, before it moves.
     1 for the upper plate, which moves by -t; -1 for the lower, which is fixed.
-        1 for the upper plate, which moves by -t; -1 for the lower, which stands still.
+        1 for the upper plate, which moves by -t; -1 for the lower, which does not move.
     slopes : ndarray, shape (2,)
         a1 and a2.
     sag_mm, length_mm : float

@@ -34,7 +34,7 @@ def at_rest():
 
 
 def at_force(force_n: float) -> dict:
-    """A scan that is meant, as case.yaml says it."""
+    """Entry of case.yaml for a planned scan."""
     return {"volume": f"not_there_{force_n:g}N.nrrd", "force_n": force_n}
 
 

@@ -301,7 +301,7 @@ class Level:
         return self._force(state, at, stage, np.zeros((0, EDGE), np.float32))
 
     def outer_force(self, state: State, contact: ContactPotential, stage: Stage) -> FloatArray:
-        """Return what springs, loads and plates leave out of balance, without body and skin."""
+        """Return the out-of-balance force of springs, loads and plates, without body and skin."""
         m = self.model
         force = self.springs * (state.x - m.nodes)
         force -= stage.fraction * self._load(state)

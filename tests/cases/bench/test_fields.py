@@ -189,7 +189,8 @@ def test_prediction_extrapolates_a_trend_of_the_residuals(tmp_path):
     moved = 1.5 * ((one.points - at.points) * at.normals).sum(axis=1)
     found = unexplained_at(doubled, replace(fit, predictions=tuple(two)), moved).reshape(-1, 3)
     # The parabola through 0 and both states weighs them by -3 and 3, and so their noise.
-    expected = np.sqrt(1.5**4 * (wrong**2).mean(axis=0) - (3**2 + 3**2) * SD_MM**2)
+    noise = np.diag(inverse.covariance).reshape(-1, 3)
+    expected = np.sqrt((1.5**4 * wrong**2 - (3**2 + 3**2) * noise).mean(axis=0))
     np.testing.assert_allclose(found[0], expected, rtol=1e-6)
 
 

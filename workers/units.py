@@ -62,6 +62,7 @@ KPA = Unit("kPa", "MPa", 1000.0)
 PA = Unit("Pa", "MPa", 1e6)
 MMHG = Unit("mmHg", "MPa", 1.0, 1.33322387e-4)
 NUMBER = Unit("", "", 1.0)
+N = Unit("N", "N", 1.0)
 MM = Unit("mm", "mm", 1.0)
 DEGREE = Unit("deg", "deg", 1.0)
 G = Unit("g", "g", 1.0)  # multiples of the acceleration of gravity
@@ -69,5 +70,5 @@ KPA_PER_MM = Unit("kPa/mm", "MPa/mm", 1000.0)
 MM_PER_KPA = Unit("mm/kPa", "mm/MPa", 1.0, 1000.0)
 N_PER_M = Unit("N/m", "N/mm", 1000.0)
 
-FORCE_UNITS = frozenset({KPA, PA, MMHG, G, KPA_PER_MM, MM_PER_KPA, N_PER_M})
+FORCE_UNITS = frozenset({KPA, PA, MMHG, G, N, KPA_PER_MM, MM_PER_KPA, N_PER_M})
 """Units of quantities that balance a force on a body: stiffness, pressure, weight."""

@@ -123,7 +123,7 @@ def compare_with_scan(
             values = unknowns.of_effect(effect, z)
             places = _seen_by(effect, inverse, followed, at)
             shift = effect.shift(places, normals, tissues, values, inverse.frame)
-            r = r + _of_places(inverse, shift)
+            r = r + _where_seen(inverse, effect, shift)
     return PredictedScan(points, r, normals, at, followed, pose)
 
 
@@ -288,7 +288,7 @@ def _shift_along(
     step = _moves(effect, inverse, prediction.followed, u)
     rest = prediction.normals, tissues_of(inverse), values, inverse.frame
     change = effect.shift(here + step, *rest) - effect.shift(here, *rest)
-    return _of_places(inverse, change)
+    return _where_seen(inverse, effect, change)
 
 
 def observed_columns(
@@ -299,12 +299,13 @@ def observed_columns(
         raise ValueError(f"{effect.name} acts on the body")
     places = _seen_by(effect, inverse, prediction.followed, prediction.at)
     rest = prediction.normals, tissues_of(inverse), inverse.frame
-    return _of_places(inverse, effect.observation(places, *rest))
+    return _where_seen(inverse, effect, effect.observation(places, *rest))
 
 
-def _of_places(inverse: InverseProblem, shift: FloatArray) -> FloatArray:
-    """Set the shift by an effect on the observation, (k, ...), to zero for load cells."""
-    return np.where(inverse.is_force.reshape(-1, *[1] * (shift.ndim - 1)), 0.0, shift)
+def _where_seen(inverse: InverseProblem, effect: Effect, shift: FloatArray) -> FloatArray:
+    """Set the shift by an effect on the observation, (k, ...), to zero where it does not act."""
+    acts = inverse.is_force if effect.sees == "cells" else ~inverse.is_force
+    return np.where(acts.reshape(-1, *[1] * (shift.ndim - 1)), shift, 0.0)
 
 
 def _seen_by(

@@ -116,9 +116,10 @@ class Effect:
         For an effect whose size is known if it acts at all, such as the weight of a body:
         mean and standard deviation of each parameter in that case. Screening still uses
         the scale of `prior_sd`; a refit uses this one.
-    sees : {"points", "moves", "arms"}
+    sees : {"points", "moves", "arms", "cells"}
         Points passed to such an effect: present positions, displacements, or displacements
-        of the end of a 1 mm arm at each point relative to its foot.
+        of the end of a 1 mm arm at each point relative to its foot. "cells": displacements, for
+        an effect on the readings of load cells only; the others do not change these.
     place : Place, optional
         For an effect that acts at one place. Parameters before those of the place are then its
         sizes; where they are neutral, the others change nothing, so the place is first searched
@@ -186,7 +187,7 @@ class Effect:
     references: tuple[str, ...]
     observation: Columns | None = None
     if_present: tuple[tuple[float, float], ...] = ()
-    sees: Literal["points", "moves", "arms"] = "points"
+    sees: Literal["points", "moves", "arms", "cells"] = "points"
     place: Place | None = None
     odds: float = 1.0
     is_slow: bool = False

@@ -1,9 +1,11 @@
-"""Fixtures for several folders: an object server and a bucket."""
+"""One thread for every process, and fixtures for several folders."""
 
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
+
+import palpate.workers  # noqa: F401  before NumPy loads
 
 
 @pytest.fixture(scope="session")

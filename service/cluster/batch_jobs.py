@@ -205,7 +205,7 @@ def open_jobs(request: JobRequest) -> Iterator[JobCluster]:
             yield JobCluster(
                 cluster.scheduler_address,
                 cluster.dashboard_link,
-                cluster.job_script(),
+                cluster.job_script().replace("dummy-name", f"{dialect.cluster}-0"),
                 request.workers,
                 cluster,
             )

@@ -36,12 +36,11 @@ def check_bodies(facts: BreastFacts) -> Iterator[Finding]:
 # A group is checked only if no earlier one refuses: its findings would be consequences.
 CHECKS: tuple[tuple[Check, ...], ...] = (
     (check_bodies, check_outline, check_volumes),
+    (check_places, check_thickness),
     (
         check_force,
         check_distance,
         check_plates,
-        check_places,
-        check_thickness,
         check_moved,
         check_overlap,
         check_shares,

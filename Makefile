@@ -17,7 +17,7 @@ READY := $(VENV)/.ready
 PYTHON ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-slow test-robustness bench docs lint format constraints clean
+.PHONY: help demo quick test test-slow test-robustness bench docs kernels lint format constraints clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -34,7 +34,8 @@ LONG := workers/body/mesh/adaptive workers/body/mesh/test_real_breast.py \
 quick: lint
 	$(BIN)/pytest -q -m "not slow" -n 2 --dist loadfile tests/workers/body tests/workers/comparison tests/service/search tests/storage $(LONG:%=--ignore=tests/%)
 
-test: lint
+test: $(READY)
+	@$(MAKE) --no-print-directory -j 2 lint kernels
 	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(READY)
@@ -48,6 +49,10 @@ bench: $(READY)
 
 docs: $(READY)
 	$(BIN)/mkdocs build --strict
+
+# Compiled once, rather than by both processes of the tests.
+kernels: $(READY)
+	$(BIN)/python -m tests.kernels
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -121,7 +121,7 @@ def test_bodies_in_one_box_keep_their_places():
 
 def test_rejects_invalid_values():
     observed = cuboid()
-    with pytest.raises(InputError, match="one lattice"):
+    with pytest.raises(InputError, match="share a lattice"):
         on_one_box([observed, cuboid(shift=(0.3, 0, 0))])
     with pytest.raises(InputError, match="at least one point"):
         reachable_jc(observed, GLANDULAR, 1.0, np.empty(0))

@@ -160,7 +160,7 @@ def listed(items: Sequence[str], last: str = "and") -> str:
 
 
 def at_edge(estimate: float, bounds: tuple[float, float], share: float = 0.01) -> bool:
-    """Return whether an estimate is so close to a bound that the bound may determine it."""
+    """Check whether an estimate is so close to a bound that the bound may determine it."""
     low, high = bounds
     return min(estimate - low, high - estimate) < share * (high - low)
 

@@ -1,4 +1,4 @@
-"""Fixtures that several folders need: an object store, a bucket of it."""
+"""Fixtures for several folders: an object server and a bucket."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -152,7 +152,7 @@ class CaseSpec(Door):
 
     @abstractmethod
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
-        """Return all constants in inside names and units: given, stated in the case, or neutral.
+        """Return all constants in internal names and units: given, stated in the case, or neutral.
 
         Raises
         ------

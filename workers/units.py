@@ -19,9 +19,9 @@ class Unit:
     inside : str
         Unit of the same quantity inside `workers`.
     per_inside : float
-        Number of these units in one inside unit; exact in floating point.
+        Number of these units in one internal unit; exact in floating point.
     inside_per : float
-        For a unit larger than the inside one: number of inside units in one of these. One of
+        For a unit larger than the internal one: number of internal units in one of these. One of
         the two factors is 1, because a thousand is exact and a thousandth is not.
 
     Examples
@@ -42,11 +42,11 @@ class Unit:
     inside_per: float = 1.0
 
     def to_inside(self, value: float) -> float:
-        """Convert from this unit to the inside unit."""
+        """Convert from this unit to the internal unit."""
         return value * self.inside_per / self.per_inside
 
     def to_door(self, value: float) -> float:
-        """Convert from the inside unit to this one."""
+        """Convert from the internal unit to this one."""
         return value * self.per_inside / self.inside_per
 
     def name_at_door(self, name: str) -> str:
@@ -62,6 +62,7 @@ KPA = Unit("kPa", "MPa", 1000.0)
 PA = Unit("Pa", "MPa", 1e6)
 MMHG = Unit("mmHg", "MPa", 1.0, 1.33322387e-4)
 NUMBER = Unit("", "", 1.0)
+N = Unit("N", "N", 1.0)
 MM = Unit("mm", "mm", 1.0)
 DEGREE = Unit("deg", "deg", 1.0)
 G = Unit("g", "g", 1.0)  # multiples of the acceleration of gravity
@@ -69,5 +70,5 @@ KPA_PER_MM = Unit("kPa/mm", "MPa/mm", 1000.0)
 MM_PER_KPA = Unit("mm/kPa", "mm/MPa", 1.0, 1000.0)
 N_PER_M = Unit("N/m", "N/mm", 1000.0)
 
-FORCE_UNITS = frozenset({KPA, PA, MMHG, G, KPA_PER_MM, MM_PER_KPA, N_PER_M})
+FORCE_UNITS = frozenset({KPA, PA, MMHG, G, N, KPA_PER_MM, MM_PER_KPA, N_PER_M})
 """Units of quantities that balance a force on a body: stiffness, pressure, weight."""

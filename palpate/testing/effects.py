@@ -33,7 +33,7 @@ def check_effect(effect: Effect, problem: Problem | None = None, step: float = S
 
     It can be pickled; its names are unique, and its units part of them; at its neutral values it
     changes nothing; at plausible values it changes something; nothing is changed in place; and the
-    derivative by its parameters agrees with differences of full solutions.
+    derivatives with respect to its parameters agree with differences of full solutions.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def _check_observation(effect: Effect, problem: Problem) -> None:
         f"{effect.name} must return one row a point and one column a parameter, "
         f"{(len(points), len(effect.parameters))}, found {columns.shape}.",
     )
-    claim(np.isfinite(columns).all(), f"{effect.name} moves points by numbers that are not finite.")
+    claim(np.isfinite(columns).all(), f"{effect.name} moves points by non-finite amounts.")
     claim(columns.any(axis=0).all(), f"{effect.name} has a parameter that moves no point.")
 
 
@@ -157,9 +157,9 @@ def _check_body(effect: Effect, problem: Problem, step: float) -> None:
         share = error / max(largest, LEAST_MM)
         claim(
             share < SLOPE_ERROR,
-            f"{effect.name}: the derivative by {parameter.name} is off by {share:.1%} of the "
-            "largest displacement; `steps` may be too long, or the effect depends on the path of "
-            "the load (`follows_path`).",
+            f"{effect.name}: the derivative with respect to {parameter.name} is off by "
+            f"{share:.1%} of the largest displacement; `steps` may be too long, or the effect "
+            "depends on the path of the load (`follows_path`).",
         )
 
 
@@ -171,7 +171,7 @@ def _difference(
     here: Equilibrium,
     step: float,
 ) -> FloatArray:
-    """Return the derivative of the solution for one parameter, by Richardson extrapolation."""
+    """Return the derivative of the solution in one parameter, by Richardson extrapolation."""
     h = step * effect.prior_sd[effect.names.index(name)]
 
     def slope(h: float) -> FloatArray:

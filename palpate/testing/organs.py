@@ -80,11 +80,11 @@ def _check_references(plugin: OrganPlugin) -> None:
 def _check_store(organ: Organ[Any, Any, Any], body: Any, mesh: Any) -> None:
     arrays = organ.body_to_arrays(body)
     again = organ.body_to_arrays(organ.body_from_arrays(arrays))
-    claim(_equal(arrays, again), f"A body of {organ.name} changes in the store.")
+    claim(_equal(arrays, again), f"A body of {organ.name} is changed by the store.")
     kept = organ.mesh_to_arrays(mesh)
     claim(
         _equal(kept, organ.mesh_to_arrays(organ.mesh_from_arrays(kept))),
-        f"A mesh of {organ.name} changes in the store.",
+        f"A mesh of {organ.name} is changed by the store.",
     )
 
 
@@ -138,7 +138,7 @@ def _check_fit(
     plain = organ.solve(model, organ.problem(model, spec, constants, where)).displacement_mm
     claim(
         np.allclose(here.solution.displacement_mm, plain, atol=1e-6),
-        f"A fit of {organ.name} finds another displacement than a plain solution.",
+        f"A fit of {organ.name} finds a different displacement from a plain solution.",
     )
     claim(here.residuals is not None, f"A fit of {organ.name} has no residuals.")
     equations = here.residuals.equations

@@ -23,8 +23,8 @@ NOISE = 0.05
 def check_search(strategy: Strategy, search: SearchSpec | None = None, seed: int = 5) -> None:
     """Check the contract of a search strategy on a spring with two unknown stiffnesses.
 
-    It is a pure function of the generations before: asked again, or resumed from any of them, it
-    proposes the same to the last bit, in whatever order scores arrive. Candidates are within
+    It is a pure function of the previous generations: called again, or resumed from any of them,
+    it proposes the same to the last bit, in whatever order scores arrive. Candidates are within
     their bounds; one that fails does not stop the search; it ends, within the number of
     evaluations that it states; and it improves on its first generation.
 
@@ -71,7 +71,7 @@ def _check_fold(
         )
         again = strategy.make(asked).propose(history[:k])
         same = isinstance(again, Proposal) and np.array_equal(again.genes, genes)
-        claim(same, f"{strategy.name} resumed before generation {k} proposes something else.")
+        claim(same, f"{strategy.name} resumed before generation {k} proposes different candidates.")
 
 
 def _followed(

@@ -220,7 +220,7 @@ def _processes(
         until = time.monotonic() + PATIENCE_S
         while not (home / "url").exists():
             if time.monotonic() > until or started[1].poll() is not None:
-                raise InputError(f"The service does not start; see {folder / 'log.txt'}.")
+                raise InputError(f"The service did not start; see {folder / 'log.txt'}.")
             time.sleep(0.1)
         with Client((home / "url").read_text(), token) as client:
             yield started[0], started[1], client

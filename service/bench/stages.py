@@ -191,7 +191,7 @@ class Bench:
             "The size",
         )
         self.bodies = BodyStore(open_store(store), BREAST)
-        self.size = f"{spacing_mm:g} mm, {nodes} nodes asked"
+        self.size = f"{spacing_mm:g} mm, {nodes} nodes requested"
         self.voxels: int | None = None
         self.nodes: int | None = None
 

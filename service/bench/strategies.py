@@ -95,7 +95,7 @@ class Reached:
     within : mapping of str to bool
         Whether the 90 % interval covers the true value, by gene.
     improvements : tuple of Improvement
-        Every change of the best candidate.
+        Every new best candidate.
     """
 
     strategy: str
@@ -257,7 +257,7 @@ def reached(home: Path, strategy: str, target: int, constants: Mapping[str, floa
 def _improvements(
     order: Sequence[EvaluationRecord], constants: Mapping[str, float]
 ) -> tuple[Improvement, ...]:
-    """Return every change of the best candidate, in the order of the candidates."""
+    """Return every new best candidate, in the order of the candidates."""
     found: list[Improvement] = []
     so_far, before, core_s = BestSoFar(), None, 0.0
     for i, record in enumerate(order):

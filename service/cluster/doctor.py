@@ -209,8 +209,9 @@ def _mixed(processes: Mapping[str, ProcessFacts]) -> list[str]:
     for role, facts in processes.items():
         if facts["source"] != here["source"]:
             problems.append(
-                f"{role} on {facts['host']} has another palpate ({facts['packages']['workers']}) "
-                f"than the client ({here['packages']['workers']}): install the same everywhere"
+                f"{role} on {facts['host']} has a different version of palpate "
+                f"({facts['packages']['workers']}) from the client "
+                f"({here['packages']['workers']}): install the same version everywhere"
             )
         for name, version in facts["versions"].items():
             if name != "code" and version != here["versions"][name]:

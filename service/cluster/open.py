@@ -89,7 +89,7 @@ class _SteadyCluster(LocalCluster):
         return any(worker.status not in GIVEN_UP for worker in self.workers.values())
 
     def forget_given_up(self) -> bool:
-        """Forget nannies that have failed, and return whether workers are missing."""
+        """Forget nannies that have failed; return True if workers are missing."""
         for name in [n for n, worker in self.workers.items() if worker.status in GIVEN_UP]:
             del self.workers[name]
         return self.worker_spec.keys() > self.workers.keys()

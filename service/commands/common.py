@@ -14,7 +14,7 @@ AllOption = Annotated[
     bool, typer.Option("--all", help="Also show constants at their neutral values.")
 ]
 JsonOption = Annotated[
-    bool, typer.Option("--json", help="Print one JSON record on standard output.")
+    bool, typer.Option("--json", help="Print one JSON record to standard output.")
 ]
 StoreOption = Annotated[
     str | None,
@@ -64,7 +64,7 @@ StudyArgument = Annotated[
 
 
 def print_findings(findings: Iterable[Finding]) -> None:
-    """Print the findings of plausibility checks on standard error."""
+    """Print the findings of plausibility checks to standard error."""
     for finding in findings:
         typer.echo(f"Warning: {finding.text}", err=True)
 

@@ -37,7 +37,7 @@ def _page(folder: Path) -> Path:
 
 
 def _is_newer(page: Path, journal: Path) -> bool:
-    """Return whether a page is newer than the last line of a journal."""
+    """Check whether a page is newer than the last line of a journal."""
     if not (page.is_file() and journal.is_file()):
         return False
     return page.stat().st_mtime_ns >= journal.stat().st_mtime_ns

@@ -58,7 +58,7 @@ def print_table(
 
 
 def echo_table(headings: Row | None, rows: Sequence[Row], *, right: Sequence[int] = ()) -> None:
-    """Print a table on standard output."""
+    """Print a table to standard output."""
     print_table(make_console(), headings, rows, right=right)
 
 

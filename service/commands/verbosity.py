@@ -33,11 +33,11 @@ def set_verbosity(*, quiet: bool, level: Level | None) -> None:
 
 
 def is_quiet() -> bool:
-    """Return whether the user asked for results only."""
+    """Check whether the user asked for results only."""
     return _quiet
 
 
 def note(text: str) -> None:
-    """Print a note on standard error, unless only results are wanted."""
+    """Print a note to standard error, unless the user asked for results only."""
     if not _quiet:
         typer.echo(text, err=True)

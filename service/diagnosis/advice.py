@@ -11,7 +11,7 @@ SHOWN = 4
 
 
 def undecided(summary: Summary) -> bool:
-    """Return whether several causes remain possible."""
+    """Check whether several causes remain possible."""
     return summary.verdict == "cannot-be-told-apart"
 
 

@@ -7,7 +7,7 @@ from palpate.service.diagnosis.words import difference, least_length, measured, 
 from palpate.service.formatting import NONE, number
 from palpate.workers.diagnosis.schema.summary import Summary
 
-# Smaller relative changes of a constant are not reported.
+# Smaller relative changes in a constant are not reported.
 SMALL = 0.02
 # Number of points printed for a state; the page has all.
 SHOWN = 12

@@ -17,7 +17,7 @@ from palpate.storage.records.typed_json import to_json
 from palpate.workers.diagnosis.schema.summary import ConstantEstimate, Summary
 from palpate.workers.diagnosis.verdict.verdict import NO_GAP
 
-# Smaller changes of a constant by an effect are ignored.
+# Smaller changes in a constant due to an effect are ignored.
 SAME = 0.05
 KPA_ENDING = "_kpa"
 
@@ -71,13 +71,13 @@ def unit_of(name: str) -> str:
 
 
 def change(constant: ConstantEstimate) -> float:
-    """Return the relative change of a constant by the named effects; 0 if unknown."""
+    """Return the relative change in a constant due to the named effects; 0 if unknown."""
     found = signed_error(constant.after, constant.before)
     return 0.0 if found is None else abs(found)
 
 
 def is_lead(summary: Summary) -> bool:
-    """Return whether there may be no gap, or the gap is as large on held-out scans."""
+    """Check whether there may be no gap, or the effect may not reduce it on held-out scans."""
     share = summary.gap_mm.held_out_share
     return NO_GAP in summary.set90 or (share is not None and share.low < 0)
 

@@ -253,7 +253,7 @@ class _Phases:
         return records
 
     def _is_slow(self, arguments: tuple[Any, ...]) -> bool:
-        """Return whether a task is about a slow effect."""
+        """Check whether a task concerns a slow effect."""
         return bool(arguments) and not self.slow.isdisjoint(arguments[0])
 
 

@@ -1,4 +1,4 @@
-"""Export of the volumes and meshes of a store."""
+"""Export of stored volumes and meshes."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,8 +1,9 @@
 r"""Errors of the fitted constants other than the noise of the image.
 
-The best candidate is also evaluated with the derivatives by nuisance parameters, and on a mesh of
-another size. A group b of nuisance parameters, :math:`b \sim N(0, P)`, shifts the constants by
-:math:`-A^{-1} B b`, with the blocks A, B and D of J'J. Its posterior and its log Bayes factor are
+The best candidate is also evaluated with its derivatives with respect to the nuisance parameters,
+and on a mesh of another size. A group b of nuisance parameters, :math:`b \sim N(0, P)`, shifts the
+constants by :math:`-A^{-1} B b`, with the blocks A, B and D of J'J. Its posterior and its log Bayes
+factor are
 
 .. math:: M = \frac{D - B'A^{-1}B}{s^2} + P^{-1}, \qquad
           \hat b = -M^{-1} \frac{g_b - B'A^{-1}g}{s^2}, \qquad
@@ -89,7 +90,7 @@ class ErrorSource:
         return np.asarray(np.sqrt((self.root**2).sum(axis=1)))
 
     def sd_along(self, slope: FloatArray) -> float:
-        """Return its standard deviation for a value, given derivatives by the coordinates."""
+        """Return the standard deviation of a value, given its derivatives in the coordinates."""
         return float(np.linalg.norm(slope @ self.root))
 
     @property

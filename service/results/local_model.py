@@ -173,7 +173,7 @@ class LocalModel:
 
     @property
     def error_root(self) -> FloatArray:
-        """Return a root of the covariance of all errors, shape (p, k)."""
+        """Return a square root of the covariance of all errors, shape (p, k)."""
         return np.column_stack([*(source.root for source in self.sources), self.unseen_root])
 
     def relative_interval(
@@ -187,8 +187,8 @@ class LocalModel:
         Parameters
         ----------
         slope : mapping of str to float
-            Derivatives of the value's logarithm by the logarithms of the constants, by
-            internal name; constants that are not searched are left out.
+            Derivatives of the value's logarithm with respect to the logarithms of the constants,
+            by internal name; constants that are not searched are left out.
         mesh_shift, mesh_sd : float, optional
             Relative increase of the value due to the mesh, and its standard deviation, if they
             are known better than from the least-squares problem on another mesh.
@@ -287,7 +287,7 @@ class LocalModel:
         return np.asarray((vectors / self.eigenvalues[self.seen]) @ vectors.T)
 
     def _unseen_root(self, bounds: FloatArray) -> FloatArray:
-        """Return a root of the covariance along unidentified directions, shape (p, k).
+        """Return a square root of the covariance along unidentified directions, shape (p, k).
 
         Along each of the k directions the whole searched interval is possible.
         """

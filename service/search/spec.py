@@ -37,7 +37,7 @@ class StallSpec(Door):
     generations
         Number of generations considered.
     tolerance
-        Smallest change of the best score that counts as an improvement.
+        Smallest change in the best score that counts as an improvement.
     rule
         ``relative``: the mean relative change over the generations; ``weighted``: recent changes
         count more.

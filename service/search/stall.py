@@ -81,7 +81,7 @@ class Stall:
         if change > self.tolerance:
             return None
         return (
-            f"stalled: average {self.rule} change of the best score over {self.generations} "
+            f"stalled: average {self.rule} change in the best score over {self.generations} "
             f"generations is {change:.3g}, tolerance {self.tolerance:g}"
         )
 

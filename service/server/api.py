@@ -27,7 +27,7 @@ class StudySubmission(Accepted):
     """A study to run.
 
     ``study`` is the text of a study file or its keys; images are uploads, named FOLDER/FILE,
-    or volumes of the store. ``key``: any text; submitting the same key again returns the same
+    or volumes in the store. ``key``: any text; submitting the same key again returns the same
     job. ``anyway``: run even if a plausibility check fails.
     """
 

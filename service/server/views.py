@@ -87,7 +87,7 @@ def state_of(service: Service, job: Job) -> State:
 
 
 def _is_offered(service: Service, job: Job, name: str) -> bool:
-    """Return whether a file exists; a link that points elsewhere counts as missing."""
+    """Check whether a file exists; a link that points elsewhere counts as missing."""
     try:
         return job_file(service, job, name) is not None
     except StoreError:

@@ -38,7 +38,7 @@ def generations_text(complete: int, at_most: int) -> str:
 
 
 class Pace:
-    """Evaluations per minute, from those observed while they were computed.
+    """Evaluations per minute, measured while they are computed.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ from palpate.storage.records.tasks import EvaluationResult
 MAX_LOST_SHARE = 0.2
 # Differences between two messages for the same reason.
 NUMBERS = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?")
-NO_SHARED_TISSUE = "it has no score: candidate and target share no tissue compared"
+NO_SHARED_TISSUE = "it has no score: candidate and target have no compared tissue in common"
 
 
 def blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:

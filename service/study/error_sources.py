@@ -1,7 +1,8 @@
-"""Evaluations at the end of a study that reveal errors of its estimates other than noise.
+"""Evaluations at the end of a study that reveal errors in its estimates from causes besides noise.
 
-The best candidate is evaluated once more with the derivatives by the nuisance parameters of its
-organ, and once on a mesh of another size. `results.identification` uses both for the intervals.
+The best candidate is evaluated once more with derivatives with respect to the nuisance parameters
+of its organ, and once on a mesh of another size. `results.identification` uses both for the
+intervals.
 """
 
 from palpate.service.study.evaluations import EvaluationRun

@@ -119,5 +119,5 @@ def best_in(scores: Mapping[int, float]) -> int:
 
 
 def finite(scores: Mapping[int, float]) -> list[float]:
-    """Return the scores that are finite, in the order of the candidates."""
+    """Return the finite scores, in the order of the candidates."""
     return [scores[candidate] for candidate in sorted(scores) if math.isfinite(scores[candidate])]

@@ -108,7 +108,7 @@ class StudyWork:
         return request
 
     def nuisances_request(self, genes: Mapping[str, float]) -> EvaluationRequest | None:
-        """Return the request of an evaluation with derivatives by the nuisance parameters.
+        """Return a request for derivatives with respect to the nuisance parameters.
 
         None if the organ has no nuisance parameters.
         """

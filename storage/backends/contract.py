@@ -5,8 +5,8 @@
     palpate.storage.backends.local     a folder: temporary names, renamed when complete
     palpate.storage.backends.objects    a prefix in a bucket: conditional puts, descriptions last
 
-Whatever has a name is complete, and of two writers of one name one wins: both modules guarantee
-this, and `tests/storage/test_backends.py` tests both.
+An object with a name is complete, and if two writers use the same name, one of them wins: both
+modules guarantee this, and `tests/storage/test_backends.py` tests both.
 """
 
 from collections.abc import Callable, Mapping, Sequence

@@ -353,13 +353,13 @@ class EvaluationRecord(_JournalRecord):
             _restore_numbers(self, "fit")
         name = f"candidate {self.candidate} is {self.status}"
         if not (_is_count(self.candidate, 0) and _is_count(self.generation, 0)):
-            _refuse(f"{name}, but its number or generation ({self.generation}) is no count")
+            _refuse(f"{name}, but its number or generation ({self.generation}) is not a count")
         if not _is_count(self.attempts, 1):
             _refuse(f"{name} after {self.attempts!r} attempts")
         if not all(math.isfinite(gene) for gene in self.genes.values()):
             _refuse(f"{name} with genes that are not finite: {dict(self.genes)}")
         if not (self.status.is_ending or self.status is Status.LOST):
-            _refuse(f"{name}, which is no ending")
+            _refuse(f"{name}, which is not an ending")
         self._check_ending(name)
 
     def _check_ending(self, name: str) -> None:

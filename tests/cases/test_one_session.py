@@ -216,7 +216,7 @@ def test_other_threads_can_open_a_session_without_signals() -> None:
     assert found == [[]]
 
 
-def test_a_session_does_not_open_workers_after_a_request(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_session_opens_no_workers_after_a_stop_request(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session_module, "open_cluster", None)
     with interruptible_exit(), interruptible() as requests:
         requests.append(signal.SIGINT)

@@ -233,7 +233,7 @@ def test_force_error_is_always_included() -> None:
     others = OtherProblems(with_nuisance("ln_plate_force", 0.0, -1e4), (FORCE,))
     others_fit = others.nuisances
     assert others_fit is not None
-    others_fit["hessian"][2][2] = 1e4  # the same change of the residuals: not identifiable
+    others_fit["hessian"][2][2] = 1e4  # the same change in the residuals: not identifiable
     found = identified(fit(), others)
     assert found.constants["E_fat"].errors["the force"] == pytest.approx(0.8, rel=1e-3)
     assert studied(found).estimates["E_fat"].quotable
@@ -268,7 +268,7 @@ def eye(g0_bound: float, mu2_bound: float, not_measured: tuple[str, ...] = ()) -
         "shear_modulus_mpa": 0.05,
         "shear_modulus_bounds": {"pixels": 0.01, "model": g0_bound},
         "bounds": {"model": {"mu2_mpa": mu2_bound, "alpha2": 0.2}},
-        "noises": {"model": "10 µm, alike over 0.5 mm"},
+        "noises": {"model": "10 µm, correlated over 0.5 mm"},
         "not_measured": list(not_measured),
     }
 
@@ -279,8 +279,8 @@ def test_undetermined_constant_of_a_cornea_is_not_quotable() -> None:
     assert said["alpha2"] == []
     shown = studied(found, findings={"against": {"E_fat": said["mu2"]}})
     assert shown.estimates["E_fat"].reasons == (
-        "errors of model and image of 10 µm, alike over 0.5 mm leave it uncertain by more than "
-        "half",
+        "errors of model and image of 10 µm, correlated over 0.5 mm leave it uncertain by more "
+        "than half",
     )
     assert shown.estimates["eta_fat"].quotable
 

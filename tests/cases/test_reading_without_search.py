@@ -1,4 +1,4 @@
-"""Reading finished studies after changes of the search."""
+"""Reading finished studies after changes to the search."""
 
 import sys
 from pathlib import Path

@@ -184,7 +184,7 @@ def test_every_service_is_bounded_and_writes_where_it_may(compose: dict[str, Any
             assert "cache:/home/palpate/.cache" in service["volumes"]
 
 
-def test_the_driver_runs_a_study_that_is_there(compose: dict[str, Any]) -> None:
+def test_the_driver_runs_an_existing_study(compose: dict[str, Any]) -> None:
     command = compose["services"]["driver"]["command"]
     assert command == [
         *("python", "-m", "palpate.service.cluster.retry"),

@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 LINES = (ROOT / "constraints.txt").read_text().splitlines()
 PYPROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRAS: dict[str, list[str]] = PYPROJECT["project"]["optional-dependencies"]
-HINT = "run `make constraints` after a change of the dependencies"
+HINT = "run `make constraints` after changing the dependencies"
 
 
 def pins() -> dict[str, Version]:

@@ -47,21 +47,21 @@ def test_every_page_is_in_the_navigation(site: Path) -> None:
     assert all(f'href="{page}.html"' in front for page in pages - {Path("index")})
 
 
-def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+def test_pages_load_nothing_from_other_servers(site: Path) -> None:
     files = [p for p in site.rglob("*") if p.suffix in (".html", ".css", ".js")]
     assert len(files) > 10
     found = {p.name: m.group() for p in files for m in LOADS.finditer(p.read_text(errors="ignore"))}
     assert found == {}
 
 
-def test_a_load_would_be_seen() -> None:
+def test_detects_loads_from_other_servers() -> None:
     assert LOADS.search('<script defer src="https://example.org/a.js"></script>')
     assert LOADS.search("<link rel='stylesheet' href='//example.org/a.css'>")
     assert LOADS.search("@font-face { src: url(http://example.org/a.woff2) }")
     assert not LOADS.search('<a href="https://example.org">a link</a>')
 
 
-def test_what_pages_show_is_there(site: Path) -> None:
+def test_files_referenced_by_pages_exist(site: Path) -> None:
     shown = re.compile(r'<(?:img|script|link)\b[^>]*?(?:src|href)="([^"#]+)"')
     for page in set(site.rglob("*.html")) - {site / "404.html"}:  # which a server shows anywhere
         for name in shown.findall(page.read_text()):
@@ -78,7 +78,7 @@ def test_prose_stays_within_its_budget() -> None:
     assert words(*(set((ROOT / "docs").rglob("*.md")) - generated)) <= 15_000
 
 
-def test_generated_pages_are_those_of_the_code(tmp_path: Path) -> None:
+def test_generated_pages_are_up_to_date(tmp_path: Path) -> None:
     copy = tmp_path / "docs"
     shutil.copytree(ROOT / "docs", copy)
     environment = os.environ | {"PYTHONPATH": str(ROOT)}

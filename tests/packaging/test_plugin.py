@@ -77,12 +77,12 @@ def study(site: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_it_keeps_the_promises_of_plugins(site: Path) -> None:
+def test_installed_plugin_fulfils_the_plugin_contracts(site: Path) -> None:
     options = ["-q", "-n", "0", "-p", "no:cacheprovider", "--rootdir", PLUGIN, "-c", os.devnull]
     python(site, "-m", "pytest", *options, PLUGIN / "tests")
 
 
-def test_a_study_searches_its_effect_and_minimises_its_score(site: Path, study: Path) -> None:
+def test_a_study_uses_the_effect_and_the_score_of_a_plugin(site: Path, study: Path) -> None:
     found = json.loads(python(site, "-m", "palpate", "report", study, "--json"))
     assert set(found["estimates"]) == {"E_fat", "side_weight"}
     lines = [json.loads(line) for line in (study / "journal.jsonl").read_text().splitlines()]
@@ -117,7 +117,7 @@ def test_a_result_depends_on_the_code_of_what_it_uses(site: Path) -> None:
     assert after[1] != before[1]
 
 
-def test_its_organ_has_a_template_and_is_solved(site: Path, tmp_path: Path) -> None:
+def test_organ_of_a_plugin_has_a_template_and_is_solved(site: Path, tmp_path: Path) -> None:
     written = tmp_path / "pad.yaml"
     python(site, "-m", "palpate", "new", "gel", "pad", "--out", written)
     told = python(

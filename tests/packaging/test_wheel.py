@@ -58,7 +58,7 @@ def test_every_module_is_in_it_and_no_rubbish(names: list[PurePosixPath]) -> Non
     assert not [name for name in names if {"tests", "examples", "runs"} & set(name.parts)]
 
 
-def test_the_tables_of_the_mammograms_are_in_it(names: list[PurePosixPath]) -> None:
+def test_mammogram_tables_are_in_the_wheel(names: list[PurePosixPath]) -> None:
     tables = (ROOT / "workers").rglob("tables/*.csv")
     here = {f"palpate/{p.relative_to(ROOT).as_posix()}" for p in tables}
     assert len(here) == 7

@@ -47,7 +47,7 @@ def test_scores_agree_with_forward_model(study: palpate.Study) -> None:
     again = study.evaluate(table, in_process=True)
     assert again["reused"].all()
     np.testing.assert_array_equal(again["gsf"], found["gsf"])
-    assert not Path(study.folder).exists()  # a batch is no run of the study
+    assert not Path(study.folder).exists()  # a batch is not a run of the study
 
 
 def test_rejects_invalid_rows_before_work_starts(tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def test_strategies_that_ship_pass(strategy: Strategy) -> None:
     check_search(strategy)
 
 
-def test_organs_that_ship_pass() -> None:
+def test_built_in_organs_pass() -> None:
     check_organ(BREAST_PLUGIN, BREAST_CASE, free=["E_fat", "E_glandular"])
     check_organ(CORNEA_PLUGIN, CORNEA_CASE, free=["mu1"])
 
@@ -174,7 +174,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
         lambda: check_effect(replace(RIGID_MOTION, observation=_wrong_rows)),
         "one row a point and one column a parameter",
     ),
-    "a law whose stress is no derivative": (
+    "a law whose stress is not the derivative of its energy": (
         lambda: check_law(WrongStress(0.003)),
         "the stress is not the derivative of the energy",
     ),
@@ -187,7 +187,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
         lambda: check_score(Objective("apart", "Apart", measure=_overwriting)),
         "differs from one call to the next|changes the bodies",
     ),
-    "a search that draws anew": (
+    "a search that redraws candidates": (
         lambda: check_search(_strategy(Drawn)),
         "proposes something else",
     ),

@@ -59,7 +59,7 @@ def test_estimate_has_interval_unit_and_quotability(folders: Folders) -> None:
     assert early.reasons == ("the search has not converged",)
 
 
-def test_results_give_samples(folders: Folders) -> None:
+def test_results_provide_samples(folders: Folders) -> None:
     results = palpate.Study.open(folders["fitted"]).results
     assert len(results.samples(40)["E_fat_kpa"]) == 40
     with pytest.raises(palpate.InputError, match="has not converged"):

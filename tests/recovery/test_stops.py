@@ -34,7 +34,7 @@ def test_stop_score_uses_the_objective(tmp_path: Path) -> None:
     assert ended(tmp_path / "demo", keys) == "Jaccard coefficient 0.5 is reached"
 
 
-def test_a_number_of_evaluations_is_not_exceeded(tmp_path: Path) -> None:
+def test_the_limit_of_evaluations_is_not_exceeded(tmp_path: Path) -> None:
     reason = ended(tmp_path / "demo", "stop: {evaluations: 31}")
     assert reason == "the next generation would exceed 31 evaluations"
     assert len(told(tmp_path / "demo")) == 12 + 10

@@ -1,7 +1,7 @@
 """One contract for every kind of store: a local folder, a bucket.
 
-Whatever has a name is complete, of two writers of one name one wins, and data are read back
-bit for bit.
+An object with a name is complete, if two writers use the same name one of them wins, and data are
+read back bit for bit.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Equal content has an equal digest everywhere; different content has another."""
+"""Equal content has an equal digest everywhere; different content has a different one."""
 
 import json
 import math

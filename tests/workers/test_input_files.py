@@ -1,4 +1,4 @@
-"""Files of a user are opened, resolved and explained in one place."""
+"""Input files: opening, resolution of paths, and error messages."""
 
 import os
 from pathlib import Path

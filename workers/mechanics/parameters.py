@@ -4,8 +4,8 @@ The forward model is one parametric family. A study frees some parameters and
 holds the others at given or neutral values. An effect adds its own parameters,
 whose neutral values change nothing, by `Vocabulary.extended_by`.
 
-In files and other interfaces the unit is part of a parameter's name (its door name),
-``E_fat_kpa: 10``; inside it is ``E_fat`` = 0.01 MPa.
+In files and other interfaces the unit is part of a parameter's name (its interface name),
+``E_fat_kpa: 10``; the internal name and value are ``E_fat`` = 0.01 MPa.
 """
 
 import math
@@ -26,7 +26,7 @@ T = TypeVar("T")
 class Parameter:
     """Number of the model that can be known, searched or suspected.
 
-    Values are in inside units (mm, N, MPa).
+    Values are in internal units (mm, N, MPa).
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ class Vocabulary:
         return name in self._by_name
 
     def __getitem__(self, name: str) -> Parameter:
-        """Return the parameter with this inside name.
+        """Return the parameter with this internal name.
 
         Raises
         ------
@@ -177,12 +177,12 @@ class Vocabulary:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the inside names, in order."""
+        """Return the internal names, in order."""
         return tuple(self._by_name)
 
     @property
     def door_names(self) -> tuple[str, ...]:
-        """Return the door names, which include units, in order."""
+        """Return the interface names, which include units, in order."""
         return tuple(parameter.door_name for parameter in self)
 
     def at_door(self, door_name: str) -> Parameter:
@@ -208,7 +208,7 @@ class Vocabulary:
         return Vocabulary([p for p in self if p.name not in left_out])
 
     def from_door(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Convert door names and units to inside names and units, in the vocabulary's order.
+        """Convert interface names and units to internal ones, in the vocabulary's order.
 
         Raises
         ------
@@ -218,7 +218,7 @@ class Vocabulary:
         return self._translate(values, lambda p, value: p.check(p.unit.to_inside(value)))
 
     def bounds_from_door(self, values: Mapping[str, Bounds]) -> dict[str, Bounds]:
-        """Convert search intervals from door to inside names and units.
+        """Convert search intervals from interface to internal names and units.
 
         Raises
         ------
@@ -231,7 +231,7 @@ class Vocabulary:
         )
 
     def to_door(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Convert inside names and units to door names and units."""
+        """Convert internal names and units to interface names and units."""
         return {self[name].door_name: self[name].unit.to_door(v) for name, v in values.items()}
 
     def complete(self, *stated: Mapping[str, float]) -> dict[str, float]:

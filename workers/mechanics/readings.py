@@ -80,7 +80,7 @@ def shown(
     ----------
     reading : Reading
     value, sd, neutral, least : float
-        In door units; values below `least` are meaningless.
+        In interface units; values below `least` are meaningless.
     unit : str
         Symbol of the parameter's unit.
     nu : float, optional
@@ -111,7 +111,7 @@ def shown(
 def shown_change(reading: Reading, size: float, unit: str) -> tuple[float, str]:
     """Return the size of a change from the neutral value, and its unit.
 
-    Changes of a ratio, and of 1 - 2 nu, are in per cent.
+    Changes in a ratio, and in 1 - 2 nu, are in per cent.
 
     Examples
     --------

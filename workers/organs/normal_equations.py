@@ -8,7 +8,7 @@ in common, :math:`r = B b + e` with b of unit variance,
 
 where :math:`\rho(e) = e^2` up to `HUBER` and linear beyond, and W its weights (P. J. Huber, Ann.
 Math. Statist. 35 (1964) 73), so that points close to a second interface have less weight. b is
-found by reweighting; the derivative of c by the parameters is 2 g.
+found by reweighting; the gradient of c in the parameters is 2 g.
 """
 
 from dataclasses import dataclass

@@ -135,7 +135,7 @@ class Organ(Protocol[Body, Mesh, Model]):
         """
 
     def body_settings(self, spec: Door) -> Facts:
-        """Return the other settings on which the body depends, as plain values."""
+        """Return the settings besides its files on which a body depends, as plain values."""
 
     def make_body(self, spec: Door) -> Body:
         """Read or generate a body.
@@ -153,7 +153,7 @@ class Organ(Protocol[Body, Mesh, Model]):
         """Return the body from the result of `body_to_arrays`."""
 
     def simulated_case(self, case: Any, target: Any) -> CaseSpec:
-        """Return the case under which a target is simulated: its own mesh, where it has one."""
+        """Return the case for simulating a target, with the target's own mesh settings if any."""
 
     def mesh_settings(self, case: Any) -> Facts:
         """Return the settings of the mesh, apart from the body, as plain values."""

@@ -37,7 +37,7 @@ class Reader(Protocol):
         ----------
         path : Path
         stored : callable
-            Returns a volume of the store by its name, or None.
+            Returns a stored volume by its name, or None.
 
         Raises
         ------

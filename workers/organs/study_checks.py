@@ -63,7 +63,7 @@ class SearchChecks(Protocol):
     """The checks of an organ that depend on the searched intervals."""
 
     def with_search(self, searched: Mapping[str, Bounds]) -> StudyChecks:
-        """Return the checks of a study that searches these intervals, inside names and units."""
+        """Return the checks of a study that searches these intervals, internal names and units."""
 
 
 @runtime_checkable

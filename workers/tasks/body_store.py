@@ -236,7 +236,7 @@ class BodyStore:
         if found is not None:
             return found
         raise InputError(
-            f"{given} is neither a file or folder (looked up from {Path.cwd()}) nor a volume of "
+            f"{given} is neither a file or folder (looked up from {Path.cwd()}) nor a volume in "
             f"the store {self.store.root}. Check the path, or import the image first."
         )
 

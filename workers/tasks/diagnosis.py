@@ -4,7 +4,7 @@
 
     prepare_scan       a case               > points, body, shapes or distances in the store
     calibrate_nominal  a case               > constants, points and noise in the store
-    analyse_effect     one effect, one scan > its change of the residuals
+    analyse_effect     one effect, one scan > its change in the residuals
     fit_effects        up to three effects  > the most probable constants and magnitudes
     read_noise_again   the best effect      > constants and noise, estimated at its points
     weigh_hypotheses   all of these         > the fits still missing, or the outcome
@@ -155,7 +155,7 @@ def _save_reading(
 
 
 def analyse_effect(request: DiagnosisRequest, effect: str, scan: int) -> SensitivityRecord:
-    """Compute the change of the residuals of one scan by one effect."""
+    """Compute the change in the residuals of one scan due to one effect."""
     store = DiagnosisStore(request)
     part = store.sensitivity(effect, scan)
     if not part.is_finished:

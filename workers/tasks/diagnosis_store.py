@@ -166,15 +166,16 @@ class DiagnosisStore:
     Raises
     ------
     StoreError
-        If this process derives another name for the diagnosis.
+        If this process derives a different name for the diagnosis.
     """
 
     def __init__(self, request: DiagnosisRequest, read_at: Sequence[str] = ()) -> None:
         here = named(request).name
         if here != request.name:
             raise StoreError(
-                f"The driver calls this diagnosis {request.name}, this worker {here}: they run "
-                "different versions. `palpate doctor` shows which; install the same everywhere."
+                f"The driver and this worker run different versions: they compute the digests "
+                f"{request.name} and {here}. `palpate doctor` lists the versions; install the "
+                "same one everywhere."
             )
         self.request, self.read_at = request, tuple(read_at)
         self.parts = TaskStore(request.store)

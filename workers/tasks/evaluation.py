@@ -337,8 +337,9 @@ def _checked_digest(request: EvaluationRequest) -> str:
     )
     if request.get("digest", name) != name:
         raise StoreError(
-            f"The driver calls this evaluation {request['digest']}, this worker {name}: they run "
-            "different versions. `palpate doctor` shows which; install the same everywhere."
+            f"The driver and this worker run different versions: they compute the digests "
+            f"{request['digest']} and {name}. `palpate doctor` lists the versions; install the "
+            "same one everywhere."
         )
     return name
 

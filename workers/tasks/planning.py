@@ -90,7 +90,7 @@ def list_loads(request: PlanRequest) -> LoadsRecord:
 
 
 def analyse_load(request: PlanRequest, number: int) -> LoadRecord:
-    """Simulate one load, and the change of its scan by every effect."""
+    """Simulate one load, and the change in its scan due to every effect."""
     part = _part(request, "load", number)
     if not part.is_finished:
         begun = time.perf_counter()

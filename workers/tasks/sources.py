@@ -128,7 +128,7 @@ def source_caveats(source: HasContent, findings: list[Finding]) -> tuple[str, ..
 
 
 def volumes_of(store: Location | None) -> Callable[[str], Volume | None]:
-    """Return a function that finds the volumes of a store by name."""
+    """Return a function that finds the volumes in a store by name."""
 
     def find(name: str) -> Volume | None:
         if store is None:

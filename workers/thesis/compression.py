@@ -60,7 +60,7 @@ class Compressed:
 
 @dataclass(frozen=True)
 class CompressionRow:
-    """Homogeneous against adaptive mesh: means over glandular compartments (Table 4.3).
+    """Comparison of a homogeneous and an adaptive mesh: compartment means (Table 4.3).
 
     Parameters
     ----------

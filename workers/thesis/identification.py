@@ -41,7 +41,7 @@ FORCE_N: dict[Scale, float] = {"sketch": 25.0, "reduced": 25.0, "full": 100.0}
 
 
 def runs_at(scale: Scale) -> list[tuple[TargetName, int]]:
-    """Return target and phantom of every search at a scale."""
+    """Return the target and phantom of every search at a scale."""
     check_scale(scale)
     return [
         (name, number)

@@ -18,4 +18,4 @@ def check_scale(scale: str) -> None:
         If `scale` is not in `SCALES`.
     """
     if scale not in SCALES:
-        raise InputError(f"The scale is 'sketch', 'reduced' or 'full', got {scale!r}.")
+        raise InputError(f"scale must be 'sketch', 'reduced' or 'full', got {scale!r}.")

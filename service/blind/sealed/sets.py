@@ -210,7 +210,7 @@ def check_answers(blind: BlindSet, directions: Directions) -> SealedAnswers:
         )
     record = cast(SealedAnswers, read_json(path))
     if record["manifest"] != file_hash(blind.manifest):
-        raise InputError(f"{path} belongs to another manifest than {blind.manifest}.")
+        raise InputError(f"{path} belongs to a different manifest from {blind.manifest}.")
     wrong = [
         name
         for name, hashes in sorted(record["answers"].items())

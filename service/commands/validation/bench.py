@@ -49,7 +49,7 @@ def bench(
     import tempfile
 
     if service and diagnosis is not None:
-        raise InputError("--service and --diagnosis exclude each other: give one of them.")
+        raise InputError("--service and --diagnosis cannot be combined: give one of them.")
     if service:
         bench_service(evaluations, as_json=as_json)
         return

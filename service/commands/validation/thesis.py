@@ -98,7 +98,7 @@ def _request(
             f"There is no experiment {name}. Choose one of {', '.join(EXPERIMENTS)}, or all."
         )
     if full and sketch:
-        raise InputError("--full and --sketch exclude each other: give one of them.")
+        raise InputError("--full and --sketch cannot be combined: give one of them.")
     scale: Scale = "full" if full else "sketch" if sketch else "reduced"
     chosen = EXPERIMENTS if name in EVERYTHING else [e for e in EXPERIMENTS if e == name]
     home = store_place(store)

@@ -266,7 +266,7 @@ def _about_evidence(summary: Summary) -> str:
     if share is None or not summary.primary:
         return alone
     return (
-        f"{alone} The best effect accounts for {100 * share:.0f} % of the gain of the effect and "
+        f"{alone} The best effect accounts for {100 * share:.0f} % of the gain from the effect and "
         "an additional smooth misfit."
     )
 

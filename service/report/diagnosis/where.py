@@ -75,7 +75,7 @@ def _solid(found: Arrays, name: str, own: BoolArray) -> Solid:
 
 
 def on_surfaces(found: Arrays) -> bool:
-    """Return whether the store has the shapes of the interfaces and residuals averaged on them."""
+    """Check whether the store has the shapes of the interfaces and residuals averaged on them."""
     return "local_before" in found and f"shape_{INTERFACES[0].name}_vertices" in found
 
 

@@ -47,7 +47,7 @@ class CornerVariable:
 
 
 def corner_plot(variables: Sequence[CornerVariable]) -> Figure:
-    """Draw histograms on the diagonal and, below it, contours of 50 % and 90 % of the draws."""
+    """Draw histograms on the diagonal, and below it contours around 50 % and 90 % of the draws."""
     count = len(variables)
     side = SIDE_IN * max(count, 1.6)
     drawn = figure(side, side * 0.94)

@@ -179,7 +179,7 @@ class LogScale(Scale):
 
 
 def spans_decades(lower: float, upper: float) -> bool:
-    """Return whether values between these limits belong on a logarithmic axis."""
+    """Check whether values between these limits belong on a logarithmic axis."""
     return lower > 0 and upper >= SPAN_OF_LOG * lower
 
 

@@ -1,4 +1,4 @@
-"""Charts of a plan: similarity of effects, and gains of further measurements."""
+"""Charts of a plan: similarity of effects, and benefits of further measurements."""
 
 from collections.abc import Sequence
 

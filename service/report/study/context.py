@@ -174,7 +174,7 @@ def _warnings(data: StudyData) -> list[Markup]:
     ]
     if edges:
         text = "{} {} at the edge of the searched interval: the true value may be outside."
-        verb = "lies" if len(edges) == 1 else "lie"
+        verb = "is" if len(edges) == 1 else "are"
         warnings.append(Markup(text).format(joined(edges), verb))
     if data.results.squeezed_note:
         warnings.append(Markup(data.results.squeezed_note))

@@ -139,14 +139,14 @@ def range_picture(
 def scatter_pictures(
     parameters: Sequence[SearchedParameter], points: Sequence[EvaluationPoint], axis: str = "GSF"
 ) -> list[Picture]:
-    """Draw the scores over each parameter; nothing if nothing has a score."""
+    """Draw the scores against each parameter; nothing if no evaluation has a score."""
     if not any(math.isfinite(p.score) for p in points):
         return []
     generations = 1 + max(p.generation for p in points)
     return [
         small_chart(
             study_charts.scatter(p, points, generations, axis=axis),
-            f"{axis} of all evaluations over {p.label}.",
+            f"{axis} of all evaluations against {p.label}.",
             chart=EVALUATIONS,
         )
         for p in parameters

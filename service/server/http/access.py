@@ -88,7 +88,7 @@ def check_may_change(owner: Owner, job: Job) -> None:
 
 
 def still_reads(request: Request, service: Service) -> bool:
-    """Return whether a request in progress would still be allowed to read."""
+    """Check whether a request in progress would still be allowed to read."""
     if not service.read_token:
         return True
     scheme, _, given = request.headers.get("Authorization", "").partition(" ")

@@ -181,7 +181,7 @@ def _uploads(service: Service) -> APIRouter:
                 t == folder or f"{t}/".startswith((f"{place}/", f"{folder}/")) for t in named
             )
             if used and job.state in ("waiting", "paused"):
-                raise HTTPException(409, f"The job {job.id} needs {folder}: cancel it first.")
+                raise HTTPException(409, f"Job {job.id} needs {folder}: cancel it first.")
         if not service.uploads.remove(folder):
             raise HTTPException(404, f"There are no uploads {folder}.")
 

@@ -89,7 +89,7 @@ def _host_name(host: str) -> str | None:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only this machine can reach an address."""
+    """Check whether only this machine can reach an address."""
     if host == "localhost":
         return True
     try:

@@ -33,7 +33,7 @@ def listen(host: str, port: int) -> socket.socket:
         listening.close()
         reason = getattr(error, "strerror", None) or error
         raise InputError(
-            f"Cannot listen at {host}:{port}: {reason}. Choose another --port or --host."
+            f"Cannot listen on {host}:{port}: {reason}. Choose another --port or --host."
         ) from error
     return listening
 

@@ -112,11 +112,11 @@ class Runner:
 
     @property
     def stopping(self) -> bool:
-        """Return whether `stop` was called."""
+        """Whether `stop` was called."""
         return self._stopping.is_set()
 
     def is_running(self, identifier: str) -> bool:
-        """Return whether a job is running."""
+        """Check whether a job is running."""
         return identifier in self._active
 
     def note(self, identifier: str) -> str:

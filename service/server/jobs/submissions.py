@@ -27,8 +27,8 @@ def study_from(
     Parameters
     ----------
     given : str or mapping
-        The text of a study file, or its keys. Images are FOLDER/FILE of the uploads, or
-        volumes of the store.
+        The text of a study file, or its keys. Images are uploads, named FOLDER/FILE, or
+        volumes in the store.
 
     Raises
     ------
@@ -63,13 +63,13 @@ def _check_images(spec: StudySpec, uploads: Uploads, store: Store) -> None:
         uploaded = path.is_absolute() and path.resolve().is_relative_to(uploads.root.resolve())
         if not (uploaded and path.exists()) and not _in_store(value, store):
             raise InputError(
-                f"{WHERE}: {key} is {value!r}, neither an upload (FOLDER/FILE) nor a "
-                "volume of the store. Upload the image first."
+                f"{WHERE}: {key} is {value!r}, which is neither an upload (FOLDER/FILE) nor a "
+                "volume in the store. Upload the image first."
             )
 
 
 def _in_store(name: str, store: Store) -> bool:
-    """Return whether the store has a volume with this digest or name."""
+    """Check whether the store has a volume with this digest or name."""
     with suppress(StoreError):  # not the name of a volume
         if has_volume(store, name):
             return True

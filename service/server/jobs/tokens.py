@@ -49,7 +49,7 @@ class Owner:
         return self.role != "read"
 
     def may_change(self, owner: str) -> bool:
-        """Return whether this token may stop and change the jobs of `owner`."""
+        """Check whether this token may stop and change the jobs of `owner`."""
         return self.role == "admin" or (self.submits and self.name == owner)
 
 

@@ -61,7 +61,7 @@ def refuse_paths(data: Any, where: str) -> None:
         if _LEADS_OUT.search(value) or "\0" in value:
             raise InputError(
                 f"{where}: {key} is {value[:60]!r}, which points outside the service. Name an "
-                "upload, FOLDER/FILE, or a volume of the store."
+                "upload, FOLDER/FILE, or a volume in the store."
             )
 
 

@@ -62,7 +62,7 @@ class SchedulerEvents:
 
 
 class DaskRecords(Observer):
-    """Observer that sends events to the scheduler; endings every `SEND_EVERY_S` at most.
+    """Observer that sends events to the scheduler; endings at most every `SEND_EVERY_S`.
 
     Parameters
     ----------

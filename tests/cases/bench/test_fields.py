@@ -2,6 +2,7 @@
 
 import io
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from palpate.workers.organs.specimen.effects import NOT_SIMULATED
 from palpate.workers.organs.specimen.experiment_files import read_experiment
 from palpate.workers.organs.specimen.force_balance import support_force_n, supported
 from palpate.workers.organs.specimen.plausibility import outside_intervals
-from palpate.workers.organs.specimen.prediction import unexplained_sd
+from palpate.workers.organs.specimen.prediction import unexplained_at, unexplained_sd
 from palpate.workers.organs.specimen.source import SpecimenSource
 from tests.cases.bench.bench_cases import FORCE_N, NU, SIZE, YOUNG_MPA, described, motion, write
 
@@ -162,6 +163,35 @@ def test_prediction_includes_the_unexplained_residual(tmp_path):
     truth = motion(points(), 1.5 * FORCE_N) + 1.5 * wrong
     assert (sd >= found).all()
     assert (np.abs(moved - truth) < 1.645 * sd).mean() > 0.8
+
+
+def test_prediction_extrapolates_a_trend_of_the_residuals(tmp_path):
+    """A field whose error grows with the square of the load, in two states and a larger one."""
+    sizes, wrong = (0.5, 1.0), 0.3 * np.sin(points() / 6)
+    source = read_experiment(experiment(tmp_path, predict=[FURTHER]))
+    inverse, fit = calibrate(source.inverse_problem(NODES), None)
+    one, (scan,) = fit.predictions[0], inverse.scans
+    at = inverse.points
+    two = [
+        replace(
+            one,
+            points=at.points + size * (one.points - at.points),
+            residual=size**2 * wrong.ravel(),
+        )
+        for size in sizes
+    ]
+    doubled = replace(
+        inverse,
+        scans=[scan, scan],
+        bias=np.zeros(2 * len(at)),
+        covariance=np.kron(np.eye(2), inverse.covariance),
+    )
+    moved = 1.5 * ((one.points - at.points) * at.normals).sum(axis=1)
+    found = unexplained_at(doubled, replace(fit, predictions=tuple(two)), moved).reshape(-1, 3)
+    # The parabola through 0 and both states weighs them by -3 and 3, and so their noise.
+    noise = np.diag(inverse.covariance).reshape(-1, 3)
+    expected = np.sqrt((1.5**4 * wrong**2 - (3**2 + 3**2) * noise).mean(axis=0))
+    np.testing.assert_allclose(found[0], expected, rtol=1e-6)
 
 
 def test_arrows_use_the_measured_components():

@@ -221,7 +221,7 @@ def test_rejects_indices_without_a_point(tmp_path, index, kind, monkeypatch):
     cells[7, 1] = index
     mesh = meshio.Mesh(points, [(kind, cells)])
     monkeypatch.setattr(meshio, "read", lambda path: mesh)
-    words = rf"cell 7 of {kind} refers to the point {index}, counted from 0, but the file has"
+    words = rf"cell 7 of {kind} refers to point {index}, counted from 0, but the file has"
     with pytest.raises(InputError, match=words):
         read_mesh_file(tmp_path / "a.vtk", 1.0)
 

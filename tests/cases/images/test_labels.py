@@ -246,7 +246,7 @@ class TestStudiesAndImports:
             ({"fat": 1}, "write {1: fat}, not {fat: 1}"),
             ({1: "fta"}, "Did you mean fat"),
             ({"1": "fat", 1: "skin"}, "label 1 is named twice"),
-            ([1, 2], "expected such as"),
+            ([1, 2], "expected a mapping such as"),
         ],
     )
     def test_refuses_invalid_maps(self, labels: Any, said: str) -> None:

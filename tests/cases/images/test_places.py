@@ -215,9 +215,9 @@ class TestSlices:
         [
             ([f"slice{z}.tif" for z in range(25) if z != 12], r"number 12 \(between slice11"),
             ([f"z{z * 0.5}.tif" for z in range(9) if z not in (3, 4)], r"number 1\.5, 2 \("),
-            (["s1.tif", "s2.tif", "s02.tif"], "two slices of the number 2: s02.tif and s2.tif"),
+            (["s1.tif", "s2.tif", "s02.tif"], "two slices numbered 2: s02.tif and s2.tif"),
             (["s1.tif", "s2.tif", "s3.5.tif", "s4.tif"], r"differ by 1\.5 between"),
-            (["t1z1.tif", "t1z2.tif", "t2z1.tif", "t2z2.tif"], "two slices of the number"),
+            (["t1z1.tif", "t1z2.tif", "t2z1.tif", "t2z2.tif"], "two slices numbered"),
             (["s1.tif", "s2.tif", "mask3.tif"], "differ in more than a number"),
             (["a1_z3.tif", "a2_z2.tif", "a3_z1.tif"], "give different orders"),
         ],
@@ -291,11 +291,11 @@ class TestAnatomicalAxes:
         np.testing.assert_array_equal(by_letters.values, by_axes.values)
         assert by_letters.origin_mm == by_axes.origin_mm
 
-    def test_refuses_letters_that_mirror(self, tmp_path: Path) -> None:
+    def test_refuses_axis_letters_that_mirror_the_image(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"R S A would mirror.*for example L S A"):
             read_volume(write_nrrd(tmp_path / "a.nrrd", breast()), axes="R S A")
 
-    def test_refuses_letters_without_a_patient(self, tmp_path: Path) -> None:
+    def test_refuses_axis_letters_for_a_file_without_orientation(self, tmp_path: Path) -> None:
         np.save(tmp_path / "a.npy", breast())
         with pytest.raises(InputError, match=r"anatomical, but .*a\.npy does not state"):
             read_volume(tmp_path / "a.npy", spacing_mm=(2.0, 2.0, 2.0), axes="L S A")

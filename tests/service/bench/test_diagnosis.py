@@ -39,4 +39,4 @@ def test_the_tasks_of_a_diagnosis_are_timed(tmp_path: Path) -> None:
 
 def test_rejects_two_measurements_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "--service", "--diagnosis", "case"]) == 2
-    assert "exclude each other: give one of them" in capsys.readouterr().err
+    assert "cannot be combined: give one of them" in capsys.readouterr().err

@@ -31,7 +31,7 @@ def in_this_process(
 @pytest.mark.parametrize(
     "where", ["in this process", pytest.param("in processes", marks=pytest.mark.slow)]
 )
-def test_the_solver_at_two_sizes(
+def test_times_the_solver_at_two_sizes(
     where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if where == "in this process":
@@ -57,7 +57,7 @@ def test_the_solver_at_two_sizes(
 def test_concurrent_processes_return_their_rows(tmp_path: Path) -> None:
     first, second = _in_processes("solve", 2.0, 1000, tmp_path, 2)
     for row in (first, second):
-        assert (row.stage, row.size) == ("solve", "2 mm, 1000 nodes asked")
+        assert (row.stage, row.size) == ("solve", "2 mm, 1000 nodes requested")
         assert row.seconds > 0
         assert row.peak_mb is not None
     assert first.nodes == second.nodes
@@ -70,7 +70,7 @@ def test_failed_stage_is_named_with_its_size(tmp_path: Path) -> None:
 
 
 def test_row_formatting() -> None:
-    row = Row("two at once", "1 mm, 90 nodes asked", 91, 7, 1.5, 256.0, 1.25, "one alone")
+    row = Row("two at once", "1 mm, 90 nodes requested", 91, 7, 1.5, 256.0, 1.25, "one alone")
     for part in ("two at once", "(91)", "1.5000 s", "256 MB", "1.25 x one alone"):
         assert part in line(row)
     assert "12.34 us" in line(Row("unknown", "s", 91, None, 1.234e-5, None))

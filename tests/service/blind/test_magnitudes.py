@@ -63,7 +63,7 @@ def said(name: str, **sizes: float) -> dict[str, EffectSummary]:
     return {name: effect}
 
 
-def test_fibres_are_compared_as_turns() -> None:
+def test_fibre_directions_are_compared_as_two_rotations() -> None:
     turned = {
         "kind": "fibres",
         "effect": "fibre_rotation",
@@ -100,7 +100,7 @@ def made_before(kind: str, family: str | None, parameters: dict[str, Any]) -> Tr
     return Truth.model_validate({"seed": 1, "kind": kind, "causes": [cause]})
 
 
-def test_truths_of_old_sets_keep_their_meaning() -> None:
+def test_truths_of_old_sets_are_not_reinterpreted() -> None:
     given = {"volume_fraction": 0.1, "whole_gland": True, "centre_mm": [0, 0, 20], "radius_mm": 15}
     swelling = made_before("swelling", None, given)
     assert (swelling.group, swelling.effects) == ("unlike", ())

@@ -206,8 +206,8 @@ def test_pairs() -> None:
     assert value(found, "pairs_both") == (1 / 3, 3)
 
 
-def test_triples() -> None:
-    """Of four diagnoses, three name one of the three effects first, and two name two of them."""
+def test_triples_are_scored_by_the_first_and_by_two_named_effects() -> None:
+    """Of four diagnoses, three name a true effect first, and two name two true effects."""
     three = {
         "effects": ("plate_tilt", "growth", "plate_friction"),
         "families": ("plate geometry", "growth", "boundary"),

@@ -20,7 +20,7 @@ def test_names_differing_code_and_libraries() -> None:
     }
     code, library = _mixed({"client": here, "worker tcp://x": other})
     assert "/old/workers" in code
-    assert "install the same everywhere" in code
+    assert "install the same version everywhere" in code
     assert library.startswith("worker tcp://x has numpy 1.0")
 
 

@@ -152,7 +152,7 @@ FILES = {
     "an empty file": BadInput(RUN, "found nothing", text("")),
     "bytes": BadInput(RUN, "cannot be read as text", data(b"\x00\xff\xfe")),
     "utf-16": BadInput(RUN, "cannot be read as text", data(STUDY.encode("utf-16"))),
-    "a folder that is no study": BadInput("palpate run empty", "empty", locked("empty", 0o755)),
+    "a folder that is not a study": BadInput("palpate run empty", "empty", locked("empty", 0o755)),
     "a device": BadInput("palpate run /dev/null", "is a pipe or a device"),
     "no YAML": BadInput(RUN, "not valid YAML", text("name: [demo")),
     "a tabulator": BadInput(RUN, "not valid YAML", text("name: demo\n\tcase: 1\n")),
@@ -255,7 +255,7 @@ OPTIONS = {
     "an unknown constant": BadInput(
         "palpate simulate study.yaml --set E_fatt_kpa=3", "did you mean 'E_fat_kpa'"
     ),
-    "a constant that is no number": BadInput(
+    "a constant that is not a number": BadInput(
         "palpate simulate study.yaml --set E_fat_kpa=nan", "E_fat_kpa must be above 0 kPa"
     ),
     "a mesh of 400 nodes": BadInput("palpate mesh study.yaml --nodes 400", "Ask for 850 nodes"),

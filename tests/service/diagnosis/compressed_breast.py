@@ -45,7 +45,7 @@ CROSSWISE = {
 
 
 def described(pressed: Sequence[dict] = PRESSED) -> dict:
-    """What case.yaml says."""
+    """Return the content of case.yaml."""
     return {
         "name": "small",
         "model": {"law": "neo-hookean"},
@@ -67,7 +67,7 @@ def write_settings(folder: Path, said: dict) -> None:
 
 
 def read_settings(folder: Path) -> dict:
-    """What case.yaml says."""
+    """Read case.yaml."""
     said: dict = yaml.safe_load((folder / "case.yaml").read_text())
     return said
 

@@ -18,7 +18,7 @@ Call = Callable[..., tuple[int, str, str]]
 
 @pytest.fixture
 def case(tmp_path: Path) -> Path:
-    """A block of fat around glandular tissue, which stands for its scans as well."""
+    """A block of fat around glandular tissue, which also represents its scans."""
     folder = tmp_path / "small"
     folder.mkdir()
     values = np.zeros((10, 14, 14), np.uint8)
@@ -46,7 +46,7 @@ def test_structured_json_is_read_too(case: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["diagnose", "plan"])
-def test_a_case_in_prose_is_refused_with_what_to_write(
+def test_a_case_in_prose_is_refused_with_the_command_to_use(
     case: Path, tmp_path: Path, call: Call, command: str
 ) -> None:
     (case / "case.yaml").unlink()

@@ -41,7 +41,7 @@ class Page(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open, f"</{tag}> closes nothing"
-        assert self.open[-1] == tag, f"</{tag}> stands where </{self.open[-1]}> is due"
+        assert self.open[-1] == tag, f"</{tag}> found where </{self.open[-1]}> is due"
         self.open.pop()
 
     def handle_data(self, data: str) -> None:

@@ -143,11 +143,11 @@ def test_page_of_unfinished_search(state: str, said: str) -> None:
 
 def test_warns_about_estimate_at_bound() -> None:
     plain = study_data(bodies=Bodies())
-    assert "lies at the edge" not in Page(render(plain)).text
+    assert "is at the edge" not in Page(render(plain)).text
     estimates = dict(plain.results.estimates)
     estimates["eta_fat"] = replace(estimates["eta_fat"], estimate=199.5)
     at_edge = study_data(results=results(estimates=estimates), bodies=Bodies())
-    assert "ηfat lies at the edge" in Page(render(at_edge)).text
+    assert "ηfat is at the edge" in Page(render(at_edge)).text
 
 
 @pytest.mark.parametrize("lost", ["reference", "target", "best"])

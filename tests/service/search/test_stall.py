@@ -78,7 +78,7 @@ def test_infinite_scores_are_never_subtracted(rule: Rule) -> None:
     assert stall.reason(np.array([-inf, -inf, -inf])) is None
 
 
-def test_failures_only_stop_with_their_own_reason() -> None:
+def test_a_search_without_any_success_stops_with_its_own_reason() -> None:
     stall = Stall(generations=2)
     assert stall.reason(np.full(2, np.inf)) is None
     reason = stall.reason(np.full(3, np.inf))

@@ -40,7 +40,7 @@ class ServiceProcess:
         until = time.monotonic() + patience_s
         while not address.exists():
             assert self.process.poll() is None, self.log
-            assert time.monotonic() < until, "the service does not start"
+            assert time.monotonic() < until, "the service did not start"
             time.sleep(0.05)
         return self
 

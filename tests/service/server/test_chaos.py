@@ -3,7 +3,7 @@
 With a store in a bucket, its server is also down for 10 s.
 
 300 evaluations through the real path, with tasks that take no time. Every evaluation ends
-exactly once, and the journal says the same as that of a calm run.
+exactly once, and the journal equals that of an undisturbed run.
 """
 
 import os

@@ -23,7 +23,7 @@ def job(owner: str) -> Job:
     return Job(id="j", kind="study", owner=owner, priority=0, submitted="", request={})
 
 
-def test_roles_are_kept_and_tokens_of_older_versions_submit(tmp_path: Path) -> None:
+def test_roles_are_kept_and_tokens_of_older_versions_can_submit(tmp_path: Path) -> None:
     tokens = Tokens(tmp_path / "tokens.json", "")
     made = {role: tokens.new(role, role) for role in ("read", "submit", "admin")}
     again = Tokens(tmp_path / "tokens.json", "x" * 20)

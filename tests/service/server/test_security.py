@@ -96,7 +96,9 @@ def test_rejects_paths_outside_home(
         ".service/tokens.json", "\\\\\\\\host\\\\x",
     ],
 )  # fmt: skip
-def test_a_study_names_no_file_of_the_server(client: Client, secret: Path, volume: str) -> None:
+def test_rejects_studies_that_name_files_on_the_server(
+    client: Client, secret: Path, volume: str
+) -> None:
     case = f'case: {{reference: {{volume: "{volume}", spacing_mm: 1}}, mesh: {{nodes: 2000}}}}'
     text = SPEC.replace("case: {reference: {phantom: {preset: 445ml}}, mesh: {nodes: 2000}}", case)
     with pytest.raises(InputError, match=r"points outside|neither an upload"):

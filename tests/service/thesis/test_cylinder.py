@@ -67,7 +67,7 @@ def test_jaccard_and_dice_are_least_at_90_degrees(rows: dict[float, CylinderRow]
     assert all(a > b for a, b in pairwise(falling))
 
 
-def test_dice_decays_less(rows: dict[float, CylinderRow]) -> None:
+def test_dice_decays_less_than_jaccard(rows: dict[float, CylinderRow]) -> None:
     for angle, row in rows.items():
         if angle not in (0, 180):
             assert 1 - row.dc < 1 - row.jc

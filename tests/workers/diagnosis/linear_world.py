@@ -113,7 +113,7 @@ def known_noise(covariance):
 
 @cache
 def known_noise_model(k=60, tolerance=1e-7, lengths=FIELD.lengths_mm, amplitudes=None):
-    """The noise of `nominal_problem`, known, with a smooth field."""
+    """Known noise of `nominal_problem`, with a smooth field."""
     points, normals, states = layout(k)
     fields = [
         smooth_columns(points, normals, states, np.ones(2 * k), length, 0.8, tolerance)

@@ -129,7 +129,7 @@ def test_missing_module_is_named() -> None:
 
 
 def test_version_is_the_same_in_several_threads() -> None:
-    """Python 3.11 cannot parse in several threads at once; a template parses its strings."""
+    """Python 3.11 cannot parse in several threads at once, so `code_version` must not parse."""
     ended = threading.Event()
 
     def found(_: int) -> str:

@@ -249,7 +249,7 @@ def test_stored_volume_is_found_by_digest_and_by_name(tmp_path):
 
 
 def test_missing_volume_lists_the_searched_places(tmp_path):
-    with pytest.raises(InputError, match=r"neither a file or folder .* nor a volume of the store"):
+    with pytest.raises(InputError, match=r"neither a file or folder .* nor a volume in the store"):
         tasks.make_target(CASE, {"volume": "nowhere"}, str(tmp_path / "store"))
 
 
@@ -259,8 +259,8 @@ def test_refuses_skin_that_the_mesh_cannot_resolve(study):
         tasks.prepare_case(case, study.store)
 
 
-def test_imaged_plates_are_at_the_target(study):
-    """The plates of an imaged target are found at any position of the target."""
+def test_plates_of_an_imaged_target_are_placed_at_the_target(study):
+    """Also if the target is shifted."""
     case = CASE | {"load": {"plate_distance_mm": {"final": 44}}}
     made = tasks.make_target(case, {"constants": HIDDEN}, study.store)
     body = load_volume(study.house, made["target"])

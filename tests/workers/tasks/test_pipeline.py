@@ -95,7 +95,7 @@ def test_skin_that_is_not_modelled_is_fat(breast):
     np.testing.assert_array_equal(of_fat.displacement_mm, with_skin.displacement_mm)
 
 
-def test_force_between_plates_is_the_requested_one(breast):
+def test_force_between_plates_equals_the_requested_force(breast):
     outcome = breast.press(case(load={"force_n": 60.0})).outcome
     assert outcome.plate_force_n == pytest.approx(60.0, rel=1e-6)
     assert outcome.force_imbalance < 1e-3

@@ -44,7 +44,7 @@ class Plate(NamedTuple):
     Initial position along d.
         Along d, before it moves.
     1 for the upper plate, which moves by -t; -1 for the lower, which is fixed.
-        1 for the upper plate, which moves by -t; -1 for the lower, which stands still.
+        1 for the upper plate, which moves by -t; -1 for the lower, which does not move.
     slopes : ndarray, shape (2,)
         a1 and a2.
     sag_mm, length_mm : float
@@ -133,7 +133,7 @@ def _place(
 
 @njit(**CONTRACTED)
 def _gap(plate: Plate, x: FloatArray, t: float, slope: FloatArray) -> tuple[float, float]:
-    """Return the gap at x and the scaled second derivative of h by s1; store its slope."""
+    """Return the gap at x and the scaled second derivative of h in s1; store its slope."""
     s1, s2, along = 0.0, 0.0, 0.0
     for i in range(3):
         s1 += plate.frame[0, i] * (x[i] - plate.pivot_mm[i])
@@ -181,8 +181,8 @@ def _press(
 ) -> tuple[float, float]:
     """Differentiate the penalty energy per area; store the slope of the gap too.
 
-    Derivatives by x go into `push` (3,) and `H` (3, 3), by x and t into `mixed` (3,). Return the
-    first and second derivatives by t.
+    Derivatives in x go into `push` (3,) and `H` (3, 3), those in x and t into `mixed` (3,). Return
+    the first and second derivatives in t.
     """
     gap, bend = _gap(plate, x, t, slope)
     share, share1, share2 = _share_of_plate(plate, x)
@@ -215,7 +215,7 @@ def _drag(
     push: FloatArray,
     H: FloatArray,
 ) -> None:
-    """Add the traction of the elastic slip `s` (2,) and its derivatives by x, per area."""
+    """Add the traction of the elastic slip `s` (2,) and its derivatives in x, per area."""
     sticks = SLIP_N_PER_MM3 * length <= limit
     secant = SLIP_N_PER_MM3 if sticks else limit / length
     for c in range(2):
@@ -284,11 +284,11 @@ def add_contact(
     border: FloatArray,
     blocks: FloatArray,
 ) -> tuple[float, float]:
-    """Add the derivatives by nodal displacements and travel.
+    """Add the derivatives with respect to nodal displacements and travel.
 
     `force` (n, 3) receives the first, `blocks` (b, 3, 3) the second and `border` (n, 3) the
     mixed one. Unless `exact`, sliding points have their secant stiffness, an upper bound of the
-    energy. Return the derivatives by the travel: force in N, stiffness in N/mm.
+    energy. Return the derivatives in the travel: force in N, stiffness in N/mm.
     """
     d, x, slope, s = np.empty(3), np.empty(3), np.empty(3), np.empty(2)
     push, H, mixed = np.empty(3), np.empty((3, 3)), np.empty(3)

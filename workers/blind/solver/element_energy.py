@@ -145,7 +145,7 @@ def energy(cells: Cells, materials: ElementMaterials, u: FloatArray) -> float:
 
 @njit(**CONTRACTED)
 def add_forces(cells: Cells, materials: ElementMaterials, u: FloatArray, out: FloatArray) -> None:
-    """Add the derivative of the energy by nodal positions, in N, to `out` (n, 3)."""
+    """Add the gradient of the energy in the nodal positions, in N, to `out` (n, 3)."""
     F, G, Fa, dN = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((10, 3))
     P = np.empty((3, 3))
     for m in range(len(cells.volumes)):

@@ -96,7 +96,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """Blocks (b, 3, 3), and mixed (n, 3) and second derivatives by the travel."""
+    """Blocks (b, 3, 3), and the mixed (n, 3) and second derivatives in the travel."""
 
     blocks: FloatArray
     border: FloatArray

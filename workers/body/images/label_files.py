@@ -71,11 +71,11 @@ def _of_json(text: str, path: Path) -> dict[int, str]:
         label, name = (value, key) if by_name else (key, value)
         if not (isinstance(name, str) and re.fullmatch(r"-?\d+", str(label))):
             raise InputError(
-                f'{path} names labels by {key!r}: {value!r}, expected such as "fat": 1 or "1": '
-                '"fat".'
+                f'{path} names labels by {key!r}: {value!r}, expected an entry such as "fat": 1 or '
+                '"1": "fat".'
             )
         if int(label) in names:
-            raise InputError(f"{path} names the label {label} twice. Keep one name.")
+            raise InputError(f"{path} names label {label} twice. Keep one name.")
         names[int(label)] = name.strip()
     return _some(names, path)
 

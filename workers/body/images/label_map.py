@@ -7,7 +7,7 @@ from typing import Any
 from palpate.storage.errors import InputError
 from palpate.workers.body.images.labels import tissue_named
 
-FORMS = "such as {0: air, 1: fat}, by name such as {Adipose: fat}, or a file that names labels"
+FORMS = "a mapping such as {0: air, 1: fat} or {Adipose: fat}, or a file that names labels"
 
 
 def label_map(given: Any) -> Any:
@@ -28,7 +28,7 @@ def label_map(given: Any) -> Any:
     for key, value in given.items():
         label = _label(key)
         if label in tissues:
-            raise ValueError(f"the label {label} is named twice: keep one")
+            raise ValueError(f"label {label} is named twice: keep one")
         tissues[label] = _tissue(label, value)
     return tissues
 

@@ -131,7 +131,7 @@ def default_map(volume: Volume) -> dict[int, Tissue]:
     strange = {label: count for label, count in counts.items() if _known_tissue(label) is None}
     if strange:
         raise InputError(
-            f"The volume has labels that are no tissue's number: {_listed(strange)}. "
+            f"The volume has labels that are not numbers of tissues: {_listed(strange)}. "
             f"Name the tissue of each: labels: {_written(_suggestion(counts, {}))}"
         )
     return {label: Tissue(label) for label in counts}

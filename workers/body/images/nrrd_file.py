@@ -143,7 +143,7 @@ def _names(segments: Mapping[int, Mapping[str, str]], what: str) -> dict[int, st
             )
         if names.setdefault(int(value), name) != name:
             raise InputError(
-                f"{what} has two segments of the label {value}, {names[int(value)]!r} and "
+                f"{what} has two segments with label {value}, {names[int(value)]!r} and "
                 f"{name!r}. Save the segmentation again."
             )
     return {value: name for value, name in names.items() if name}

@@ -94,8 +94,8 @@ def check_attached(path: Path, what: str) -> None:
 
 def _refuse_other_file(what: str, name: str) -> NoReturn:
     raise InputError(
-        f"{what} names another file for its data, {name[:80]!r}. Save it as one file; on your own "
-        f"machine, a header with the suffix {HEADER_SUFFIX} may name one."
+        f"{what} keeps its data in another file, {name[:80]!r}. Save both as one file. (On your "
+        f"own machine, a header with the suffix {HEADER_SUFFIX} may have a separate data file.)"
     )
 
 
@@ -173,7 +173,7 @@ def _voxels(path: Path, file: BinaryIO, header: dict[str, Any]) -> NDArray[Any]:
 def _dtype(path: Path, header: dict[str, Any]) -> np.dtype[Any]:
     kind = str(header["type"]).lower()
     if kind not in _CODES:
-        raise InputError(f"{path} has voxels of type {kind[:40]!r}, expected such as uint8.")
+        raise InputError(f"{path} has voxels of type {kind[:40]!r}, expected a type such as uint8.")
     code = _CODES[kind]
     text = str(header["encoding"]).lower() in _TEXT
     if code.endswith("1") or text:

@@ -126,8 +126,8 @@ def _refuse(rows: Sequence[_Row], paths: Sequence[Path], what: str) -> None:
         twice = int(np.argmin(gaps))
         names = f"{paths[order[twice]].name} and {paths[order[twice + 1]].name}"
         raise InputError(
-            f"{what} has two slices of the number {values[twice]:g}: {names}. Keep the slices of "
-            "one image, and number them from 1."
+            f"{what} has two slices numbered {values[twice]:g}: {names}. Keep the slices of one "
+            "image, and number them from 1."
         )
     raise InputError(
         f"{what} {_gap_in_words(values, [paths[k].name for k in order])}. Complete the slices, or "

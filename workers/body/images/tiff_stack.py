@@ -52,7 +52,7 @@ def read_tiff(path: Path) -> Scan:
 
 
 def slices_of(folder: Path) -> list[Path]:
-    """Return the slices of a folder, from the lowest z.
+    """Return the slices of a folder, in the order of z.
 
     Raises
     ------

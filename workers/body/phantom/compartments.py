@@ -44,8 +44,8 @@ class Compartments:
 def draw_compartments(settings: BreastPhantom, rng: np.random.Generator) -> Compartments:
     """Draw seeds, sizes and directions of the compartments of a breast.
 
-    They depend on the outline and on the number of compartments only, so the
     They depend only on the outline and on the number of compartments, so the
+    same generator gives the same anatomy at every voxel size and density.
 
     Notes
     -----

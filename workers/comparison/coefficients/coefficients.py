@@ -96,7 +96,7 @@ def coefficients(
         If `surface` is unknown, a set is empty or the lattices differ.
     """
     if surface not in ("boundary", "all"):
-        raise InputError(f"The surface is 'boundary' or 'all', got {surface!r}.")
+        raise InputError(f"surface must be 'boundary' or 'all', got {surface!r}.")
     wanted = tuple(Tissue(label) for label in labels)
     x, y = (_filled(volume, wanted, real) for volume in (simulated, real))
     metric = Metric.of_spacing(real.spacing_mm)

@@ -57,7 +57,7 @@ class InterfacePoints:
         Area of interface represented by the point.
     part : ndarray of int32, shape (k,)
         Index of the connected piece of interface, such as the shell of one compartment of
-        gland; numbered through all interfaces, in each from the largest.
+        gland; numbered through all interfaces, within each from the largest.
     """
 
     points: FloatArray
@@ -156,7 +156,7 @@ def interface_points(
 
 
 def _parts(drawn: Surface, smallest_mm2: float) -> IntArray:
-    """Return the connected piece of each vertex, from the largest; -1 if it is too small."""
+    """Return the rank by area of each vertex's connected piece, 0 the largest; -1 if too small."""
     n = len(drawn.vertices)
     ends = drawn.triangles[:, [0, 1, 1, 2]].reshape(-1, 2).T
     edges = coo_matrix((np.ones(ends.shape[1], np.int8), ends), shape=(n, n))

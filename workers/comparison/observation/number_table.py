@@ -216,7 +216,7 @@ def _numbers(path: Path, texts: Mapping[str, list[tuple[int, str]]]) -> dict[str
     for name, line, text in cells:
         if len(text) > LONGEST:
             raise InputError(
-                f"{path}, line {line}: the cell in the column {name} has {len(text)} characters, "
+                f"{path}, line {line}: the cell in column {name} has {len(text)} characters, "
                 "expected a number."
             )
     digits = [one for one in cells if _special(one[2]) is None]
@@ -269,13 +269,13 @@ def _unreadable(
     for (name, line, text), point, comma in known:
         if not point and not comma:
             return (
-                f"{path}, line {line}: {_short(text)!r} in the column {name} is no number. "
+                f"{path}, line {line}: {_short(text)!r} in column {name} is not a number. "
                 "Expected numbers, and an empty cell or nan where nothing was measured."
             )
     if all(points):
         name, line, text = next(c for c in cells if "," in c[2])
         return (
-            f"{path}, line {line}: {_short(text)!r} in the column {name} may be a decimal "
+            f"{path}, line {line}: {_short(text)!r} in column {name} may be a decimal "
             "comma or a thousands separator. Export with decimal points and without separators."
         )
     by_point = next(c for c, point, comma in known if point and not comma)

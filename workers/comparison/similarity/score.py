@@ -76,7 +76,7 @@ class Scorer:
         surface: Surface = "boundary",
     ) -> None:
         if surface not in ("boundary", "all"):
-            raise InputError(f"The surface is 'boundary' or 'all', got {surface!r}.")
+            raise InputError(f"surface must be 'boundary' or 'all', got {surface!r}.")
         self._labels = tuple(Tissue(label) for label in labels)
         if not self._labels or Tissue.AIR in self._labels:
             raise InputError(

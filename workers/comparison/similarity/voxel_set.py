@@ -70,8 +70,8 @@ def voxel_set(volume: Volume, labels: Iterable[int], lattice: Volume) -> VoxelSe
     """
     if not volume.on_lattice_of(lattice):
         raise InputError(
-            f"The volumes are on different lattices: spacing {volume.spacing_mm} mm with a voxel "
-            f"at {volume.origin_mm} mm, and {lattice.spacing_mm} mm with one at "
+            f"The volumes are on different lattices: one has voxels of {volume.spacing_mm} mm from "
+            f"{volume.origin_mm} mm, the other voxels of {lattice.spacing_mm} mm from "
             f"{lattice.origin_mm} mm. Resample one of them, or deform onto the lattice of the "
             "target."
         )

@@ -11,7 +11,7 @@ from palpate.workers.diagnosis.algebra.linearisation import Linearised
 
 @dataclass(frozen=True, eq=False)
 class EffectSensitivity:
-    """Derivatives of the residuals by the parameters of one effect.
+    """Derivatives of the residuals with respect to the parameters of one effect.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ the noise, and the part of it that the fit absorbed (the covariance penalty of C
 Technometrics 15 (1973) 661, and B. Efron, J. Am. Stat. Assoc. 99 (2004) 619). Without a fit F is
 zero.
 
-The pose of a scan is no error of the model. If scans are registered by another fit, by
+The pose of a scan is not an error of the model. If scans are registered by another fit, by
 ``r -> r + R r``, C includes the uncertainty of the poses, and only the remainder counts as noise:
 ``(I + R) C (I + R)'`` replaces C in the first term, ``F C (I + R)'`` replaces FC.
 """
@@ -132,7 +132,7 @@ class LinearFit:
 
     @property
     def step(self) -> FloatArray:
-        """Change of the parameters from the fit, shape (p,), in prior standard deviations."""
+        """Change in the parameters from the fit, shape (p,), in prior standard deviations."""
         return -(self.gain @ self.problem.residual + self.bias)
 
     @cached_property

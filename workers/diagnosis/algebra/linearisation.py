@@ -4,7 +4,7 @@ Near the fit, the signed distances r between model and image obey
 
 .. math:: r(z) = r + J z = \text{systematic part} + e, \qquad e \sim N(0, C),
 
-with z the change of the parameters and a normal prior on each of them. Whitened by
+with z the change in the parameters and a normal prior on each of them. Whitened by
 ``C = L L'`` the noise is the unit normal; A and rho stand for J and r in that space.
 Integrating z out leaves the precision
 
@@ -36,7 +36,7 @@ class Linearised:
         Signed distances of the model from the observed interfaces at the fit, in mm;
         all states one after another.
     nominal : ndarray, shape (m, p)
-        Derivatives of the residual by the free parameters, in mm per unit.
+        Derivatives of the residual in the free parameters, in mm per unit.
     nominal_sd : ndarray, shape (p,)
         Prior standard deviations of the parameters, > 0.
     nominal_offset : ndarray, shape (p,)
@@ -131,7 +131,7 @@ class Linearised:
         Parameters
         ----------
         columns : ndarray, shape (m, q)
-            Derivatives of the residual by the new parameters.
+            Derivatives of the residual in the new parameters.
         sd : ndarray, shape (q,)
         """
         return Linearised(

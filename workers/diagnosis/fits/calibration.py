@@ -118,7 +118,7 @@ def _pressed(inverse: InverseProblem, predictions: Sequence[PredictedScan]) -> l
 def _compared(
     inverse: InverseProblem, at: Fit, solved: Sequence[PredictedScan]
 ) -> list[PredictedScan]:
-    """Compare solved predictions with the scans again, after a change of the problem."""
+    """Compare solved predictions with the scans again, after a change to the problem."""
     return [
         compare_with_scan(inverse, scan, at.unknowns, at.z, v.at)
         for scan, v in zip(inverse.scans, solved, strict=True)
@@ -185,7 +185,7 @@ def with_learnt_noise(
     ----------
     inverse : InverseProblem
     columns : ndarray, shape (m, p)
-        Derivatives of the residuals by the constants, per prior standard deviation.
+        Derivatives of the residuals in the constants, per prior standard deviation.
     predictions : sequence of ComparedScan
         From the fit at which the derivatives were taken.
     """

@@ -81,7 +81,7 @@ class Fit:
     def linearised_with_poses(self, inverse: InverseProblem) -> Linearised:
         """Return the linearisation with poses and contour bias as additional free parameters.
 
-        The gap is computed after fitting them, as the pose of a scan is no error of the model.
+        The gap is computed after fitting them, as the pose of a scan is not an error of the model.
         """
         u, q = self.unknowns, inverse.nuisance_count
         nuisances = np.hstack([self.pose_columns(inverse), inverse.drawing])
@@ -292,7 +292,7 @@ def _starts(
     jacobians: Sequence[ScanJacobian],
     change: FloatArray,
 ) -> list[Equilibrium | None]:
-    """Return the starting equilibria of the scans after a change of the parameters, (p,)."""
+    """Return the starting equilibria of the scans after a change in the parameters, (p,)."""
     return [
         inverse.forward.expecting(one.at, np.tensordot(change, jacobian.moved, 1))
         for one, jacobian in zip(predictions, jacobians, strict=True)

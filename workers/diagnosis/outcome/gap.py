@@ -141,7 +141,7 @@ def _gap(excess: float, sd: float, noise_mm: float, points: int, floor_mm: float
 
 
 def _between(of: Gap, square_mm2: float, floor_mm: float) -> Gap:
-    """Return the gap with the given square beyond the floor, and its interval."""
+    """Return the gap and its interval, given the square of the gap in excess of the floor."""
     least, most = SETTINGS.gap.floor_range
     reach = float(ndtri(0.5 + SETTINGS.gap.level / 2)) * _whole_sd(of, floor_mm)
     low, high = min(square_mm2, of.excess_mm2) - reach, max(square_mm2, of.excess_mm2) + reach

@@ -51,9 +51,9 @@ class LoadSensitivity:
     Parameters
     ----------
     nominal : ndarray, shape (k + 1, p)
-        By the logarithms of the constants.
+        Derivatives in the logarithms of the constants.
     columns : dict of str to ndarray, shape (k + 1, q) or (g, k + 1, q)
-        By the parameters of each effect; zero for one that does not act on this load.
+        Derivatives in the parameters of each effect; zero if it does not act on this load.
     travel_mm : float
         Travel of the plates towards each other; 0 for plates at a given distance.
     """
@@ -147,7 +147,7 @@ def plate_row(at: Equilibrium) -> tuple[csr_matrix, FloatArray]:
 
 
 def _changes(problem: ProblemBuilder, free: Unknowns) -> list[Change]:
-    """Return changes of the logarithm of each constant, about the prior mean."""
+    """Return changes in the logarithm of each constant, about the prior mean."""
     found = []
     for step in SETTINGS.fit.log_step * np.eye(len(free.mean)):
         ahead, behind = (problem(free.constants(free.mean + s)) for s in (step, -step))

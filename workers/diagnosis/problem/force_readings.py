@@ -1,8 +1,8 @@
 """Readings of forces among the points of an inverse problem.
 
 A load cell is represented by a point whose displacement is the measured force, in units chosen by
-its organ, with one additional node far from all others. Its residual counts in every fit, but as
-it is no distance, it is excluded from every gap in mm.
+its organ, with one additional node far from all others. Its residual counts in every fit, but not
+in any gap in mm, because it is not a distance.
 """
 
 from scipy.sparse import block_diag, csr_matrix, eye_array

@@ -100,7 +100,7 @@ class Scan:
         Builds the problem from values of the free constants.
     compare : callable
         Takes moved points, (k, 3), and the points of the reference; returns residuals, (k,) in
-        mm, and their derivatives by the positions, (k, 3).
+        mm, and their derivatives in the positions, (k, 3).
     drawn : callable, optional
         The same for the interfaces as drawn, if `compare` uses noise fixed to an anchor; see
         `workers.diagnosis.problem.anchored_scan`.
@@ -296,7 +296,7 @@ class Unknowns:
     def at_bound(self, z: FloatArray) -> IntArray:
         """Mark the parameters at a bound: 1 at a lower, -1 at an upper bound, else 0.
 
-        The neutral value of a one-sided parameter is no bound, as its prior ends there.
+        The neutral value of a one-sided parameter is not a bound, as its prior ends there.
         """
         lower = (z <= self.lower) & ~self.one_sided
         return lower.astype(np.int32) - (z >= self.upper)

@@ -123,7 +123,7 @@ def compare_with_scan(
             values = unknowns.of_effect(effect, z)
             places = _seen_by(effect, inverse, followed, at)
             shift = effect.shift(places, normals, tissues, values, inverse.frame)
-            r = r + _of_places(inverse, shift)
+            r = r + _where_seen(inverse, effect, shift)
     return PredictedScan(points, r, normals, at, followed, pose)
 
 
@@ -145,7 +145,7 @@ def compared_points(
 
 @dataclass(frozen=True, eq=False)
 class ScanJacobian:
-    """Derivatives of one scan by all parameters, shape (k, p), and the values `z` used.
+    """Derivatives of one scan in all parameters, shape (k, p), and the values `z` used.
 
     `moved` are the tangents of the nodes' displacements, (p, n, 3). `fresh` is False if a column
     was reused from nearby parameter values.
@@ -165,7 +165,7 @@ def derivatives(
     prediction: PredictedScan,
     before: ScanJacobian | None = None,
 ) -> ScanJacobian:
-    """Return the derivatives of the residual by every parameter.
+    """Return the derivatives of the residual with respect to every parameter.
 
     Tangents describe only the last load step. For a path-dependent effect, such as friction, the
     derivative comes from another simulation, unless `before` was computed at about the same value;
@@ -215,7 +215,7 @@ def _columns_of_all(
     prediction: PredictedScan,
     moved: FloatArray,
 ) -> FloatArray:
-    """Return derivatives of the residual by all parameters, given the motion of the nodes."""
+    """Return derivatives of the residual in all parameters, given the motion of the nodes."""
     observed = [(e, unknowns.of_effect(e, z)) for e in unknowns.effects if not e.acts_on_body]
     columns = _along_motions(inverse, prediction, moved, observed)
     for effect, _ in observed:
@@ -249,7 +249,7 @@ def columns_of(
     changes: Sequence[Change],
     tolerance: float = RELATIVE_ERROR,
 ) -> FloatArray:
-    """Return derivatives of the residual by changes of the problem, shape (k, c).
+    """Return derivatives of the residual for changes in the problem, shape (k, c).
 
     `tolerance` is passed to `tangents`.
     """
@@ -288,23 +288,24 @@ def _shift_along(
     step = _moves(effect, inverse, prediction.followed, u)
     rest = prediction.normals, tissues_of(inverse), values, inverse.frame
     change = effect.shift(here + step, *rest) - effect.shift(here, *rest)
-    return _of_places(inverse, change)
+    return _where_seen(inverse, effect, change)
 
 
 def observed_columns(
     inverse: InverseProblem, effect: Effect, prediction: PredictedScan
 ) -> FloatArray:
-    """Return derivatives by the parameters of an effect on the observation, shape (k, q)."""
+    """Return derivatives in the parameters of an effect on the observation, shape (k, q)."""
     if effect.observation is None:
         raise ValueError(f"{effect.name} acts on the body")
     places = _seen_by(effect, inverse, prediction.followed, prediction.at)
     rest = prediction.normals, tissues_of(inverse), inverse.frame
-    return _of_places(inverse, effect.observation(places, *rest))
+    return _where_seen(inverse, effect, effect.observation(places, *rest))
 
 
-def _of_places(inverse: InverseProblem, shift: FloatArray) -> FloatArray:
-    """Set the shift by an effect on the observation, (k, ...), to zero for load cells."""
-    return np.where(inverse.is_force.reshape(-1, *[1] * (shift.ndim - 1)), 0.0, shift)
+def _where_seen(inverse: InverseProblem, effect: Effect, shift: FloatArray) -> FloatArray:
+    """Set the shift by an effect on the observation, (k, ...), to zero where it does not act."""
+    acts = inverse.is_force if effect.sees == "cells" else ~inverse.is_force
+    return np.where(acts.reshape(-1, *[1] * (shift.ndim - 1)), shift, 0.0)
 
 
 def _seen_by(
@@ -318,7 +319,7 @@ def _seen_by(
 def _moves(
     effect: Effect, inverse: InverseProblem, followed: FollowedPoints, u: FloatArray
 ) -> FloatArray:
-    """Return the change of an effect's input for motion `u` of the nodes, shape (k, 3)."""
+    """Return the change in an effect's input for motion `u` of the nodes, shape (k, 3)."""
     if effect.sees != "arms":
         return np.asarray(followed.at_points @ u)
     if inverse.arms is None:

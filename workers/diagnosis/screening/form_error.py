@@ -62,7 +62,7 @@ class FormError:
         Parameters
         ----------
         pattern : ndarray, shape (m,)
-            Change of the residuals due to the effects of a hypothesis, after refitting constants
+            Change in the residuals due to the effects of a hypothesis, after refitting constants
             and poses, in mm.
         """
         return self.envelope(pattern)[:, None] * self._modes

@@ -55,7 +55,7 @@ class Hypothesis:
     def __post_init__(self) -> None:
         if len(self.effects) > MOST_EFFECTS or len(set(self.effects)) < len(self.effects):
             raise InputError(
-                f"A hypothesis has up to {MOST_EFFECTS} different effects, got {self.effects}."
+                f"A hypothesis can have up to {MOST_EFFECTS} different effects, got {self.effects}."
             )
         if not np.isfinite([self.log_evidence, self.discrepancy_gain or 0.0]).all():
             raise InputError(
@@ -157,7 +157,7 @@ def alarm(hypotheses: Sequence[Hypothesis]) -> float:
     nothing = [h for h in hypotheses if not h.effects]
     if len(nothing) != 1:
         raise InputError(
-            f"The hypothesis without effects is needed once, found {len(nothing)} times."
+            f"The hypothesis without effects must occur exactly once, found {len(nothing)}."
         )
     alternatives = [h.best for h in hypotheses if h.effects]
     return max([*alternatives, nothing[0].best]) - nothing[0].log_evidence

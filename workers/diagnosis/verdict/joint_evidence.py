@@ -47,7 +47,7 @@ class JointEvidence:
     ) -> None:
         names = [f.name for f in sensitivities]
         if len(set(names)) < len(names):
-            raise InputError(f"Each effect is listed once, found {names}.")
+            raise InputError(f"Each effect must be listed once, found {names}.")
         if noise.size != len(nominal.residual):
             raise InputError(
                 f"The noise model is for {noise.size} residuals, but the fit has "

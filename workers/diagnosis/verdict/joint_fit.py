@@ -218,7 +218,7 @@ def _begin(parameter: Parameter, sd: float, expected: float, *, steep: bool = Fa
 
 
 def _begin_at_place(parameter: Parameter, sd: float, expected: float) -> float:
-    """Return the starting size of a localised effect: never neutral, where place has no effect."""
+    """Return the starting size of a localised effect, not neutral so that its place matters."""
     settings = SETTINGS.joint_fits
     if one_sided(parameter):
         return _begin(parameter, sd, expected)

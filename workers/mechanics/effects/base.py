@@ -99,10 +99,10 @@ class Effect:
         Their neutral values are numbers. A parameter whose admissible interval begins at
         its neutral value is one-sided.
     prior_sd : tuple of float
-        Prior standard deviation of each parameter, inside units; of the half-normal
+        Prior standard deviation of each parameter, internal units; of the half-normal
         where it is one-sided.
     steps : tuple of float
-        Step of each parameter for differentiating the out-of-balance force, inside units.
+        Step of each parameter for differentiating the out-of-balance force, internal units.
     transform : callable
         Maps problem, values of all parameters and frame of the body to the problem
         with the effect. An effect on the observation returns the problem itself.
@@ -116,9 +116,10 @@ class Effect:
         For an effect whose size is known if it acts at all, such as the weight of a body:
         mean and standard deviation of each parameter in that case. Screening still uses
         the scale of `prior_sd`; a refit uses this one.
-    sees : {"points", "moves", "arms"}
+    sees : {"points", "moves", "arms", "cells"}
         Points passed to such an effect: present positions, displacements, or displacements
-        of the end of a 1 mm arm at each point relative to its foot.
+        of the end of a 1 mm arm at each point relative to its foot. "cells": displacements, for
+        an effect on the readings of load cells only; the others do not change these.
     place : Place, optional
         For an effect that acts at one place. Parameters before those of the place are then its
         sizes; where they are neutral, the others change nothing, so the place is first searched
@@ -141,7 +142,7 @@ class Effect:
         Whether an effect on the observation rotates, scales or shears about the middle of
         the body. Default False: it does not depend on that point.
     held_sd : tuple of float
-        Standard deviation of each parameter where a case states it, inside units: an
+        Standard deviation of each parameter where a case states it, internal units: an
         uncertainty common to all hypotheses. Default empty: a stated value is exact.
     resembles_roughness : bool
         Whether a rough segmentation of the body at rest looks like this effect, whose first
@@ -186,7 +187,7 @@ class Effect:
     references: tuple[str, ...]
     observation: Columns | None = None
     if_present: tuple[tuple[float, float], ...] = ()
-    sees: Literal["points", "moves", "arms"] = "points"
+    sees: Literal["points", "moves", "arms", "cells"] = "points"
     place: Place | None = None
     odds: float = 1.0
     is_slow: bool = False
@@ -225,7 +226,7 @@ class Effect:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the inside names of the parameters, in order."""
+        """Return the internal names of the parameters, in order."""
         return tuple(p.name for p in self.parameters)
 
     @property

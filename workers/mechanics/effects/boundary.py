@@ -31,7 +31,7 @@ PLATE_FRICTION_NAME = "friction"
 
 
 def _plate_friction(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Increase Coulomb's coefficient."""
+    """Increase the Coulomb friction coefficient."""
     return with_device(
         problem, lambda d: replace(d, friction=d.friction + values[PLATE_FRICTION_NAME])
     )
@@ -46,7 +46,7 @@ FRICTION = Effect(
             PLATE_FRICTION_NAME,
             NUMBER,
             1.0,
-            "Coulomb's coefficient of skin on plate",
+            "Coulomb friction coefficient between skin and plate",
             reading=Reading(name="coefficient"),
         ),
     ),
@@ -179,7 +179,7 @@ def _true_attachment(given: Mapping[str, Any]) -> dict[str, float]:
 LOCAL_ATTACHMENT = Effect(
     name="local_attachment",
     family="boundary",
-    summary="The breast is held at one place: by a tether, by a scar, by skin that sticks.",
+    summary="The breast is held at one place, such as by a tether, a scar or sticking skin.",
     parameters=(
         *(
             from_zero(
@@ -192,7 +192,7 @@ LOCAL_ATTACHMENT = Effect(
         ),
         *(
             two_sided(
-                name, MM, 90.0, f"place of the attachment along {name[-1]} from the body's middle"
+                name, MM, 90.0, f"position of the attachment along {name[-1]} from the body centre"
             )
             for name in PLACE
         ),
@@ -223,7 +223,7 @@ TURNS = ("base_turn_x", "base_turn_y", "base_turn_z")
 
 @dataclass(frozen=True, slots=True)
 class BaseMotionColumns:
-    """Columns of a rigid motion of the base, which turns about `centre_mm`."""
+    """Columns of a rigid motion of the base, which rotates about `centre_mm`."""
 
     centre_mm: Triple
 
@@ -239,10 +239,10 @@ def base_motion(centre_mm: Triple) -> Effect:
     return Effect(
         name="base_motion",
         family="boundary",
-        summary="The base moved when the load came on, and the body with it.",
+        summary="The base, and the body with it, moved when the load was applied.",
         parameters=(
             *(two_sided(n, MM, 3.0, f"shift of the base along {n[-1]}") for n in SHIFTS),
-            *(two_sided(n, DEGREE, 3.0, f"turn of the base about {n[-1]}") for n in TURNS),
+            *(two_sided(n, DEGREE, 3.0, f"rotation of the base about {n[-1]}") for n in TURNS),
         ),
         prior_sd=(0.3,) * 3 + (0.3,) * 3,
         steps=(0.01,) * 6,
@@ -262,7 +262,7 @@ CLAMP_COMPLIANCE_NAME = "clamp_compliance"
 def _clamp_compliance(problem: Problem, values: Values, frame: Frame) -> Problem:
     """Let the clamped face yield along its normal in proportion to the traction.
 
-    Bending pulls on one side of the face and presses on the other, so the face turns.
+    Bending pulls on one side of the face and presses on the other, so the face rotates.
     """
     wall, compliance = problem.wall, values[CLAMP_COMPLIANCE_NAME]
     if not compliance or not wall.held[2]:

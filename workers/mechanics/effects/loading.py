@@ -268,7 +268,7 @@ def added_mass(down: Triple, region: Region) -> Effect:
     return Effect(
         name="added_mass",
         family="loading",
-        summary="Markers, hooks or glue weigh on the loaded place.",
+        summary="Markers, hooks or glue add weight at the loaded place.",
         parameters=(
             from_zero(
                 ADDED_MASS_NAME, GRAM, GRAM.to_inside(50.0), "mass attached there in every state"

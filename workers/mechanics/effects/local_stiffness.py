@@ -86,11 +86,11 @@ INCLUSION = Effect(
             RATIO,
             NUMBER,
             2.7,
-            "ln of the ratio of the lump's stiffness to its surroundings'",
+            "ln of the stiffness of the lump relative to its surroundings",
             reading=ratio("times as stiff as its surroundings"),
         ),
         *(
-            two_sided(name, MM, 60.0, f"place of the lump along {name[-1]} from the body's middle")
+            two_sided(name, MM, 60.0, f"position of the lump along {name[-1]} from the body centre")
             for name in PLACE
         ),
         Parameter(RADIUS, MM, 3.0, 15.0, 6.0, "radius of the lump", admissible=(0.0, math.inf)),

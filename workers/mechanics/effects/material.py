@@ -274,7 +274,7 @@ FIBRE_FAN = Effect(
             name,
             DEGREE,
             30.0,
-            f"turn of the fibres towards {name[-1]} from the middle to the end of {name[-1]}",
+            f"rotation of the fibres towards {name[-1]} from the middle to the end of {name[-1]}",
         )
         for name in FIBRE_FAN_NAMES
     ),
@@ -303,7 +303,7 @@ def _fibre_rotation(problem: Problem, values: Values, frame: Frame) -> Problem:
 
 
 def _true_fibre_rotation(given: Mapping[str, Any]) -> dict[str, float]:
-    """Convert an angle and its direction to turns towards x and y, in degrees."""
+    """Convert an angle and its direction to rotations towards x and y, in degrees."""
     turn, azimuth = given["turn_deg"], math.radians(given["azimuth_deg"])
     return {
         "fibre_turn_x_deg": turn * math.cos(azimuth),
@@ -314,9 +314,9 @@ def _true_fibre_rotation(given: Mapping[str, Any]) -> dict[str, float]:
 FIBRE_ROTATION = Effect(
     name="fibre_rotation",
     family="global material",
-    summary="The ligaments run in another direction than from chest wall to nipple.",
+    summary="The ligaments do not run from the chest wall to the nipple.",
     parameters=tuple(
-        two_sided(name, DEGREE, 30.0, f"turn of the fibres towards {name[-1]}")
+        two_sided(name, DEGREE, 30.0, f"rotation of the fibres towards {name[-1]}")
         for name in FIBRE_ROTATION_NAMES
     ),
     prior_sd=(12.0, 12.0),
@@ -419,7 +419,7 @@ SKIN_ADDED = Effect(
     summary="The skin adds a stiffness that the model lacks.",
     parameters=(
         from_zero(
-            ADDED, N_PER_M, N_PER_M.to_inside(5000.0), "E t of the skin on top of the model's"
+            ADDED, N_PER_M, N_PER_M.to_inside(5000.0), "E t of the skin in addition to the model's"
         ),
     ),
     prior_sd=(N_PER_M.to_inside(1000.0),),

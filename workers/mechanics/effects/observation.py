@@ -32,7 +32,7 @@ def rigid_columns(points: FloatArray, normals: FloatArray, centre_mm: Triple) ->
 
 
 def rigidly_moved(points: FloatArray, motion: FloatArray, centre_mm: Triple) -> FloatArray:
-    """Move points by 3 shifts in mm and 3 turns in degrees, shape (k, 3).
+    """Move points by 3 shifts in mm and 3 rotations in degrees, shape (k, 3).
 
     Linearised like `rigid_columns`.
     """
@@ -43,7 +43,7 @@ def rigidly_moved(points: FloatArray, motion: FloatArray, centre_mm: Triple) -> 
 def _rigid_motion_columns(
     points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
 ) -> FloatArray:
-    """Return the columns of a motion that turns about the middle of the body, shape (k, 6)."""
+    """Return the columns of a motion that rotates about the middle of the body, shape (k, 6)."""
     return rigid_columns(points, normals, frame.centre_mm)
 
 
@@ -56,7 +56,7 @@ RIGID_MOTION = Effect(
     parameters=(
         *(two_sided(n, MM, 5.0, f"shift of the deformed scan along {n[-1]}") for n in SHIFTS),
         *(
-            two_sided(n, DEGREE, 3.0, f"turn of the deformed scan about {n[-1]}")
+            two_sided(n, DEGREE, 3.0, f"rotation of the deformed scan about {n[-1]}")
             for n in RIGID_MOTION_TURNS
         ),
     ),
@@ -72,7 +72,7 @@ RIGID_MOTION = Effect(
 
 
 # --- frame turn
-# Turn the frame of the cameras against the frame of the body.
+# Rotate the frame of the cameras relative to the frame of the body.
 
 
 FRAME_TURN_TURNS = ("frame_turn_x", "frame_turn_y", "frame_turn_z")
@@ -89,10 +89,10 @@ def _frame_turn_columns(
 FRAME_TURN = Effect(
     name="frame_turn",
     family="observation",
-    summary="The cameras' frame is turned against the body's: the assumed marker "
+    summary="The cameras' frame is rotated relative to the body's: the assumed marker "
     "positions at rest are wrong.",
     parameters=tuple(
-        two_sided(n, DEGREE, 5.0, f"turn of the observed displacements about {n[-1]}")
+        two_sided(n, DEGREE, 5.0, f"rotation of the observed displacements about {n[-1]}")
         for n in FRAME_TURN_TURNS
     ),
     prior_sd=(1.0, 1.0, 1.0),
@@ -105,7 +105,7 @@ FRAME_TURN = Effect(
 
 
 # --- image scale
-# Let the loaded scans have another scale than the scan at rest.
+# Let the loaded scans have a different scale from the scan at rest.
 
 
 IMAGE_SCALE_NAMES = ("scale_x", "scale_y", "scale_z")
@@ -131,7 +131,7 @@ def _true_image_scale(given: Mapping[str, Any]) -> dict[str, float]:
 IMAGE_SCALE = Effect(
     name="image_scale",
     family="observation",
-    summary="The loaded scans have another scale than the scan at rest.",
+    summary="The loaded scans have a different scale from the scan at rest.",
     parameters=tuple(
         two_sided(
             name,
@@ -154,7 +154,7 @@ IMAGE_SCALE = Effect(
 
 
 # --- image shear
-# Let the loaded scans be sheared against the scan at rest.
+# Let the loaded scans be sheared relative to the scan at rest.
 
 
 IMAGE_SHEAR_NAMES = ("shear_xy", "shear_xz", "shear_yz")
@@ -165,10 +165,10 @@ MOVED, BY = (0, 0, 1), (1, 2, 2)
 def _image_shear_columns(
     points: FloatArray, normals: FloatArray, tissues: IntArray, frame: Frame
 ) -> FloatArray:
-    """Return the normal motion of planes that slide over each other, shape (k, 3).
+    """Return the normal displacement of a unit shear about the middle of the body, shape (k, 3).
 
-    For a shear of one about the middle of the body; see `Effect.shift`. The other three shears
-    are these plus a rotation, which is part of a scan's pose.
+    See `Effect.shift`. The other three shears are these plus a rotation, which is part of a scan's
+    pose.
     """
     arms = points - np.asarray(frame.centre_mm)
     return np.asarray(normals[:, MOVED] * arms[:, BY])
@@ -178,7 +178,7 @@ def _image_shear_columns(
 IMAGE_SHEAR = Effect(
     name="image_shear",
     family="observation",
-    summary="The loaded scans are sheared against the scan at rest.",
+    summary="The loaded scans are sheared relative to the scan at rest.",
     parameters=tuple(
         two_sided(
             name,
@@ -256,7 +256,7 @@ def _marker_standoff_columns(
 MARKER_STANDOFF = Effect(
     name="marker_standoff",
     family="observation",
-    summary="The markers are off the surface and swing out as it turns.",
+    summary="The markers are off the surface and swing out as it rotates.",
     parameters=(
         from_zero(MARKER_STANDOFF_NAME, MM, 15.0, "height of the markers above the surface"),
     ),
@@ -265,7 +265,7 @@ MARKER_STANDOFF = Effect(
     transform=unchanged,
     references=(
         "A. Cappozzo et al., Clin. Biomech. 11 (1996) 90: markers that move "
-        "against what they stand for",
+        "relative to the bones they represent",
     ),
     observation=_marker_standoff_columns,
     sees="arms",

@@ -34,7 +34,7 @@ def acting_plugins(values: Mapping[str, float]) -> tuple[Plugin, ...]:
 
 
 def plugins_of_parameters(names: Container[str]) -> tuple[Plugin, ...]:
-    """Return the plug-ins whose effects have any of these parameters, inside names."""
+    """Return the plug-ins whose effects have any of these parameters, internal names."""
     return tuple(plugin for plugin, e in _foreign() if any(name in names for name in e.names))
 
 

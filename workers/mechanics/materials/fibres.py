@@ -122,7 +122,7 @@ class Fibres:
         return Fa, strain
 
     def _curvature(self, stretched: FloatArray) -> FloatArray:
-        """Return the second derivative of the energy by I4; zero where fibres are slack."""
+        """Return the second derivative of the energy in I4; zero where fibres are slack."""
         return self.eta_mpa * ((stretched != 0) if self.tension_only else np.ones(stretched.shape))
 
     def _invariant(self, shape: Shape, Fa: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -44,7 +44,7 @@ class Shape:
     G : ndarray, shape (..., 3, 3)
         Its inverse, transposed.
     scale : ndarray, shape (...)
-        ``J^(-1/3)`` of the original: each derivative by the original F contributes this
+        ``J^(-1/3)`` of the original: each derivative in the original F contributes this
         factor once.
     """
 
@@ -111,13 +111,13 @@ def stress(shape: Shape, w1: Scalar, w2: Scalar | None = None) -> FloatArray:
 
 
 def tangent_of_first(shape: Shape, w1: Scalar, w11: Scalar) -> FloatArray:
-    """Return the second derivative by F of a law W(I1bar).
+    """Return the second derivative of a law W(I1bar) with respect to F.
 
     Parameters
     ----------
     shape : Shape
     w1, w11 : ndarray of shape (...) or float
-        First and second derivative of W by I1bar in MPa.
+        First and second derivatives of W in I1bar, in MPa.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def tangent_of_first(shape: Shape, w1: Scalar, w11: Scalar) -> FloatArray:
 def tangent_of_quadratic(
     shape: Shape, I: FloatArray, g: FloatArray, S: FloatArray, w: Scalar, ww: Scalar
 ) -> FloatArray:
-    """Return the second derivative by F of a law of one invariant ``I = tr(F S F^T)`` at J = 1.
+    """Return the second derivative in F of a law of one invariant ``I = tr(F S F^T)`` at J = 1.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def tangent_of_quadratic(
     S : ndarray, shape (..., 3, 3)
         Identity for I1, the dyad of the direction for a fibre's stretch.
     w, ww : ndarray of shape (...) or float
-        First and second derivative of W by I in MPa.
+        First and second derivatives of W in I, in MPa.
 
     Returns
     -------
@@ -164,13 +164,13 @@ def tangent_of_quadratic(
 def tangent_of_both(
     shape: Shape, w1: Scalar, w2: Scalar, w11: Scalar, w12: Scalar, w22: Scalar
 ) -> FloatArray:
-    """Return the second derivative by F of a law W(I1bar, I2bar).
+    """Return the second derivative of a law W(I1bar, I2bar) with respect to F.
 
     Parameters
     ----------
     shape : Shape
     w1, w2, w11, w12, w22 : ndarray of shape (...) or float
-        First and second derivatives of W by I1bar and I2bar in MPa.
+        First and second derivatives of W in I1bar and I2bar, in MPa.
 
     Returns
     -------

@@ -46,7 +46,7 @@ class LawFit:
     shear_modulus_mpa : float
         Shear modulus at rest.
     shape : mapping of str to float
-        Shape constants by their names in the plug-in, in inside units.
+        Shape constants by their names in the plug-in, in internal units.
     fit : Fit
     aicc : float
         See above; infinite if there are too few points to compare laws.

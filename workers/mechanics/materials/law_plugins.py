@@ -45,9 +45,9 @@ class LawPlugin:
         Name for display, such as ``Yeoh``.
     parameters : tuple of Parameter
         Shape constants. At their neutral values the law is the plug-in's basic one; Palpate's
-        own laws are then neo-Hookean.
+        built-in laws are then neo-Hookean.
     make : callable
-        Maps the shear modulus at rest in MPa and all shape constants by name, in inside units, to
+        Maps the shear modulus at rest in MPa and all shape constants by name, in internal units, to
         the law. Energies are proportional to the modulus. It is also called slightly outside the
         admissible values, for finite differences.
     family : Family, optional
@@ -85,7 +85,7 @@ class LawPlugin:
         shear_modulus_mpa : float
             Shear modulus at rest, > 0.
         values : mapping of str to float
-            Shape constants in inside units, by the names of `constants`; missing ones are neutral.
+            Shape constants in internal units, by the names of `constants`; others are neutral.
         tissue : str
             As in `constants`.
         """

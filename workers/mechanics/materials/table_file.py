@@ -100,5 +100,5 @@ def _number(where: str, name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{where}: {name} is no number, found {text!r}.")
+        raise InputError(f"{where}: {name} is not a number, found {text!r}.")
     return value

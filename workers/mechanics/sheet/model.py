@@ -155,7 +155,7 @@ def shapes(barycentric: FloatArray) -> FloatArray:
 
 
 def shape_slopes(barycentric: FloatArray) -> FloatArray:
-    """Return derivatives of the shape functions by the barycentric coordinates, (k, 6, 3)."""
+    """Return derivatives of the shape functions in the barycentric coordinates, (k, 6, 3)."""
     found = np.zeros((len(barycentric), 6, 3))
     for k in range(3):
         found[:, k, k] = 4 * barycentric[:, k] - 1

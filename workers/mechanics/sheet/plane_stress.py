@@ -35,7 +35,7 @@ class PlaneStress:
     stress : ndarray, shape (q, 3)
         S11, S22 and S12 in MPa.
     tangent : ndarray, shape (q, 3, 3)
-        Derivative by E11, E22 and 2 E12, in MPa.
+        Derivative of the stress with respect to E11, E22 and 2 E12, in MPa.
     thickness_stretch : ndarray, shape (q,)
     """
 

@@ -97,7 +97,7 @@ class SheetEquilibrium:
         return np.asarray((pushed / J[..., None, None]).mean(axis=1))
 
     def tangents(self, changes: Sequence[Change]) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of displacements and reactions by changes of the problem.
+        """Return the derivatives of displacements and reactions for changes in the problem.
 
         Returns
         -------
@@ -154,8 +154,9 @@ class SheetEquilibrium:
     def _force(self, system: SheetSystem) -> FloatArray:
         """Return the out-of-balance force here under another problem, shape (n, 3)."""
         own = self.problem
-        is_same = system.problem.constants == own.constants
-        if is_same and system.problem.variations == own.variations:
+        other = system.problem
+        is_same = other.constants == own.constants and other.wall == own.wall
+        if is_same and other.variations == own.variations:
             inner = self._inner_n
         else:
             inner = system.inner_n(self._x, system.response(self._x, self.response))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import coo_array, csc_array, diags_array
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray
@@ -50,7 +50,7 @@ class SheetSystem:
         p, c = self.problem, self.constants
         refused = {
             "skin of its own": p.membrane,
-            "springs": p.attachments or any(p.wall.spring_mpa_per_mm),
+            "local springs": p.attachments,
             "weight in its image": any(p.imaged_gravity_g),
             "fibres": c.fibre_mpa or c.second_fibre_mpa,
             "tissue growth": c.growth != 1,
@@ -109,6 +109,12 @@ class SheetSystem:
         return force
 
     @cached_property
+    def bed_n_per_mm(self) -> FloatArray:
+        """Stiffness of the elastic bed, shape (n, 3): springs of the wall under the whole sheet."""
+        area = self.model.areas.sum() * self.model.shares(np.ones(len(self.model.nodes), np.bool_))
+        return np.outer(area, self.problem.wall.spring_mpa_per_mm)
+
+    @cached_property
     def prescribed(self) -> tuple[BoolArray, FloatArray]:
         """Mask of held displacement components, and their values in mm, (n, 3) each."""
         nodes = self.model.nodes
@@ -148,11 +154,11 @@ class SheetSystem:
         return plane_stress(C, self.law, self.constants.kappa_mpa, near)
 
     def inner_n(self, x: FloatArray, found: PlaneStress) -> FloatArray:
-        """Return the internal force on each node due to stretching, shape (n, 3)."""
+        """Return the internal force on each node, from stretching and the bed, shape (n, 3)."""
         f = self.tangents_of_plane(x)
         S = full(found.stress).reshape(*f.shape[:2], 2, 2) * self.stiffnesses[..., None, None]
         each = np.einsum("mqia,mqab,mqnb->mni", f, S, self.model.gradients, optimize=True)
-        return self._at_nodes(each)
+        return self._at_nodes(each) + self.bed_n_per_mm * (x - self.model.nodes)
 
     def outer_n(self, x: FloatArray, part: float = 1.0) -> FloatArray:
         """Return a fraction of the load on each node, shape (n, 3)."""
@@ -164,7 +170,7 @@ class SheetSystem:
         return part * (self.dead_n + self._at_nodes(pushed))
 
     def stiffness(self, x: FloatArray, response: PlaneStress, part: float = 1.0) -> csc_array:
-        """Return the derivative of the out-of-balance force by `x`, shape (3 n, 3 n)."""
+        """Return the derivative of the out-of-balance force in `x`, shape (3 n, 3 n)."""
         g, f = self.model.gradients, self.tangents_of_plane(x)
         m = len(g)
         strains = np.zeros((m, 3, 3, 6, 3))  # triangle, point, strain, node, axis
@@ -185,7 +191,9 @@ class SheetSystem:
         rows, columns = np.repeat(freedoms, 18, axis=1), np.tile(freedoms, (1, 18))
         size = self.model.nodes.size
         entries = (K.ravel(), (rows.ravel(), columns.ravel()))
-        return csc_array(coo_array(entries, shape=(size, size)))
+        return csc_array(coo_array(entries, shape=(size, size))) + diags_array(
+            self.bed_n_per_mm.ravel(), format="csc"
+        )
 
     def _pushed_tangent(self, f: FloatArray) -> FloatArray:
         """Return the derivative of the pressure's shares, (m, 6, 3, 6, 3)."""

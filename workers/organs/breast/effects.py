@@ -78,7 +78,7 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
     ),
     (
         "oedema in one place",
-        "fat and glandular tissue grow evenly, each by a volume of its own",
+        "growth is uniform within the fat and within the glandular tissue",
     ),
     (
         "tension of the skin at rest",
@@ -90,15 +90,15 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
     ),
     (
         "uneven chest wall",
-        "the wall yields alike everywhere; a rib or the edge of the muscle does not",
+        "the wall is equally compliant everywhere, unlike a rib or the edge of the muscle",
     ),
     (
         "ligaments as sheets",
-        "fibres act everywhere alike; a single stiff sheet looks like an inclusion",
+        "fibres act uniformly; a single stiff sheet looks like an inclusion",
     ),
     (
         "relaxation at different rates",
-        "all moduli relax by the same part; only scans at several times tell tissues apart",
+        "all moduli relax by the same fraction; only scans at several times separate the tissues",
     ),
     (
         "plate that gives way with force",
@@ -106,7 +106,7 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
     ),
     (
         "movement of the chest wall",
-        "a breath that brings a part of the wall forward looks like a scan that lies elsewhere",
+        "a breath that brings a part of the wall forward looks like a shift of the scan",
     ),
     (
         "corners and ends of the plates",

@@ -194,7 +194,7 @@ def _observed(
     observation: BreastObservation,
     model: Model,
 ) -> FloatArray:
-    """Return the derivatives of the residuals by a parameter of the observation."""
+    """Return the derivatives of the residuals with respect to a parameter of the observation."""
     effect: Effect = OBSERVED[name]
     if effect.observation is None:
         raise AssertionError(f"{effect.name} changes the problem, not the observation")
@@ -253,7 +253,7 @@ def _by_solving(
     p: FreeParameter,
     observation: BreastObservation,
 ) -> FloatArray:
-    """Return the derivative by a path-dependent parameter."""
+    """Return the derivative with respect to a path-dependent parameter."""
     h = PATH_STEP * (p["upper"] - p["lower"])
     value = constants[p["name"]]
     ahead = equilibrium(model, problem_of({**constants, p["name"]: value + h}), at)
@@ -297,5 +297,6 @@ def _in_words(noise: SegmentationNoise, imaged: bool) -> str:
         return f"{voxel * np.hypot(MOVED_VOXELS, NUGGET_VOXELS):.2g} mm at each point {plates}"
     return (
         f"{noise.sd_mm:.2g} mm along the normal of the target's interfaces and of those at rest, "
-        f"alike over {noise.correlation_mm:.2g} mm, {noise.nugget_mm:.2g} mm at each point {plates}"
+        f"correlated over {noise.correlation_mm:.2g} mm, {noise.nugget_mm:.2g} mm at each point "
+        f"{plates}"
     )

@@ -21,7 +21,7 @@ from palpate.workers.spec import Door, LawName, checked_name
 LAW_TISSUES = ("fat", "glandular")
 NO_STIFFENING = (
     "strain stiffening",
-    "the file chooses a law for every tissue: its shape constants say how the tissue stiffens",
+    "the file chooses a law for every tissue: its shape constants define how the tissue stiffens",
 )
 
 
@@ -96,7 +96,7 @@ class TissueLaws(Door):
 
     @property
     def not_simulated(self) -> tuple[tuple[str, str], ...] | None:
-        """Causes without an effect, with reasons; None if they are the catalogue's."""
+        """Causes that cannot be simulated, with reasons; None for the list of the catalogue."""
         return None if self.can_stiffen else (*CATALOGUE.not_simulated, NO_STIFFENING)
 
     def reason_against(self, name: str) -> str:

@@ -103,8 +103,8 @@ class Breast:
         image = _image_of(spec)
         if image.spacing_mm is not None or image.axes is not None:
             raise InputError(
-                f"{image.volume} is a volume of the store, which has its spacing and axes: remove "
-                "spacing_mm and axes, or give the file."
+                f"{image.volume} is in the store with its own spacing and axes: remove spacing_mm "
+                "and axes, or name the file."
             )
         if image.labels is None:
             default_map(body)

@@ -13,7 +13,7 @@ NUGGET_VOXELS = 0.08
 
 
 def study_noise(reference: Volume, *loaded: Volume, imaged: bool) -> SegmentationNoise:
-    """Return half a voxel over 4 mm for images, or else the voxel error of an interface.
+    """Return the assumed noise of images, or the voxel error of simulated scans.
 
     Parameters
     ----------

@@ -138,7 +138,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "jet_off_centre",
         "loading",
-        "The jet hits the cornea at another position than in the model.",
+        "The jet hits the cornea at a different position from the model.",
         (two_sided("jet_offset", MM, 0.6, "position of the jet, relative to the stated one"),),
         (0.2,),
         _of_load(lambda load, v: replace(load, jet_centre_mm=load.jet_centre_mm + v["jet_offset"])),

@@ -1,4 +1,4 @@
-"""Change of the fitted stiffness by each effect that the data cannot separate from it."""
+"""Change in the fitted stiffness due to each effect that the data cannot separate from it."""
 
 from collections.abc import Mapping, Sequence
 

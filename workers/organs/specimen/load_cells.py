@@ -1,9 +1,9 @@
 """Forces by which a testing machine moves regions, as additional points of a fit.
 
 A load cell is an additional point whose displacement is its reading, scaled so that its noise
-equals the noise of a point of the field. Derivatives by constants and effects therefore include
-the forces. Load cells are placed far from the body and from each other, so that no spatial
-correlation connects them. Their readings are predicted in
+equals the noise of a point of the field. Derivatives with respect to constants and effects
+therefore include the forces. Load cells are placed far from the body and from each other, so that
+no spatial correlation connects them. Their readings are predicted in
 `workers.organs.specimen.load_cell_forces`.
 """
 

@@ -14,6 +14,8 @@ from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
 
 # Step of the finite differences, in standard deviations of the posterior.
 STEP = 0.5
+# Fitted states whose sizes differ by a smaller factor show no trend.
+LIKE_SIZED = 2 / 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,6 @@ def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[P
         If a state cannot be simulated.
     """
     spread, force = posterior_factor(inverse, fit), inverse.is_force
-    unexplained = unexplained_sd(inverse, fit)
     found = []
     for scan in states:
         at = _view(inverse, scan, fit, fit.z, None)
@@ -65,7 +66,7 @@ def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[P
         for direction in STEP * spread.T:
             z = np.clip(fit.z + direction, fit.unknowns.lower, fit.unknowns.upper)
             parts.append((_view(inverse, scan, fit, z, at.at).residual - at.residual) / STEP)
-        left = unexplained * _growth(inverse, fit, at.residual)
+        left = unexplained_at(inverse, fit, at.residual)
         sd = np.sqrt((np.array(parts) ** 2).sum(axis=0) + left**2)
         moved, moved_sd = (one[~force] for one in (at.residual, sd))
         found.append(Prediction(scan.name, moved, moved_sd, at.residual[force], sd[force]))
@@ -82,28 +83,55 @@ def unexplained_sd(inverse: InverseProblem, fit: Fit) -> FloatArray:
     -------
     ndarray, shape (m,)
     """
+    residual, variance = _by_state(inverse, fit)
+    return _beyond_noise(inverse, residual**2 - variance)
+
+
+def unexplained_at(inverse: InverseProblem, fit: Fit, moved: FloatArray) -> FloatArray:
+    """Return the standard deviation of what a fit leaves unexplained in another state, (m,).
+
+    The error of a wrong model is assumed to grow at least in proportion to the displacement. If
+    the fitted states differ in size, residuals that change with it are extrapolated, as
+    ``a s + b s^2`` for a state of size s.
+    """
+    place = ~inverse.is_force
+    sizes = np.array([_size(_moved(inverse, one.points)[place]) for one in fit.predictions])
+    size, largest = _size(moved[place]), float(sizes.max())
+    if largest == 0:
+        return unexplained_sd(inverse, fit)
+    found = max(1.0, size / largest) * unexplained_sd(inverse, fit)
+    if size <= largest or sizes.min() > LIKE_SIZED * largest:
+        return found
+    weights = np.array([size, size**2]) @ np.linalg.pinv(np.column_stack([sizes, sizes**2]))
+    residual, variance = _by_state(inverse, fit)
+    trend = (weights @ residual) ** 2 - weights**2 @ variance
+    return np.maximum(found, _beyond_noise(inverse, trend[None]))
+
+
+def _by_state(inverse: InverseProblem, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Return the residuals and the variance of their noise, shape (s, m) each."""
     states = len(inverse.scans)
-    square = fit.residual(inverse).reshape(states, -1) ** 2
-    beyond = square - np.diag(inverse.covariance).reshape(states, -1)
-    found = np.empty(beyond.shape[1])
+    return (
+        fit.residual(inverse).reshape(states, -1),
+        np.diag(inverse.covariance).reshape(states, -1),
+    )
+
+
+def _beyond_noise(inverse: InverseProblem, squares: FloatArray) -> FloatArray:
+    """Return the root mean of squares, (s, m), over components along an axis, and over cells."""
+    found = np.empty(squares.shape[1])
     for part in np.unique(inverse.points.interface):
         here = inverse.points.interface == part
-        found[here] = np.sqrt(max(0.0, float(beyond[:, here].mean())))
+        found[here] = np.sqrt(max(0.0, float(squares[:, here].mean())))
     return found
 
 
-def _growth(inverse: InverseProblem, fit: Fit, moved: FloatArray) -> float:
-    """Return the size of a state relative to the largest fitted state, at least 1.
+def _moved(inverse: InverseProblem, points: FloatArray) -> FloatArray:
+    return np.asarray(((points - inverse.points.points) * inverse.points.normals).sum(axis=1))
 
-    The error of a wrong model is assumed to grow in proportion to the displacement.
-    """
-    place = ~inverse.is_force
-    fitted = [
-        ((one.points - inverse.points.points) * inverse.points.normals).sum(axis=1)[place]
-        for one in fit.predictions
-    ]
-    largest = max(float(np.sqrt((one**2).mean())) for one in fitted)
-    return max(1.0, float(np.sqrt((moved[place] ** 2).mean())) / largest) if largest > 0 else 1.0
+
+def _size(moved_mm: FloatArray) -> float:
+    return float(np.sqrt((moved_mm**2).mean()))
 
 
 def posterior_factor(inverse: InverseProblem, fit: Fit) -> FloatArray:

@@ -180,6 +180,9 @@ class SpecimenSource:
             known_nu=all(isinstance(m.nu, float) for m in spec.materials.values()),
             can_stiffen=spec.can_stiffen,
             is_sheet=spec.body.sheet is not None,
+            moved=bool(spec.moved_regions),
+            cells=self.load_cells,
+            most_n=max((abs(r.force_n) for s in spec.states for r in s.reactions), default=0.0),
         )
 
     @cached_property

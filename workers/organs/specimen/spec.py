@@ -50,7 +50,7 @@ class SheetSpec(Door):
 
     size_mm: tuple[Positive, Positive] | None = None
     outline_mm: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=3)] | None = None
-    thickness_mm: Positive = Field(description="thickness at rest in mm, the same everywhere")
+    thickness_mm: Positive = Field(description="uniform thickness at rest, in mm")
 
     @property
     def corners_mm(self) -> tuple[tuple[float, float], ...]:
@@ -114,7 +114,7 @@ class BodySpec(Door):
 class BoxSpec(Door):
     """All points between two corners."""
 
-    lower: FinitePoint = Field(description="corner with the least x, y and z, in mm")
+    lower: FinitePoint = Field(description="corner with the smallest x, y and z, in mm")
     upper: FinitePoint = Field(description="corner with the largest x, y and z, in mm")
 
     @model_validator(mode="after")
@@ -511,4 +511,4 @@ def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:
 def _once(what: str, names: Sequence[str]) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise ValueError(f"{what}: each name once, found {', '.join(twice)} again")
+        raise ValueError(f"{what}: list each name once; repeated: {', '.join(twice)}")

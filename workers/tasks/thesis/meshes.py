@@ -76,7 +76,7 @@ class ComparePressed(Request):
 
 @dataclass(frozen=True, slots=True)
 class MeasuredMesh:
-    """A mesh of a phantom; stored with the polygons of a coronal slice, glandular or not."""
+    """Mesh of a phantom; stored with the glandular and other polygons of a coronal slice."""
 
     spent: Spent
     row: QualityRow
@@ -84,7 +84,7 @@ class MeasuredMesh:
 
 @dataclass(frozen=True, slots=True)
 class PressedPhantom:
-    """A compression; stored with the voxels of compartments and tissues, if it converged."""
+    """Compression; stored with the voxels of compartments and tissues if it converged."""
 
     spent: Spent
     outcome: Outcome

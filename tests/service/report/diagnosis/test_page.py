@@ -298,7 +298,7 @@ def test_warnings() -> None:
     assert "note warn" not in render(found())
 
 
-def test_a_map_for_each_scan_and_interface() -> None:
+def test_draws_a_map_for_each_scan_and_interface() -> None:
     labels = [drawing.get("aria-label", "") for drawing in Page(render(found())).drawings()]
     captions = [label for label in labels if "scan at" in label]
     assert [caption.split(":")[0] for caption in captions] == [

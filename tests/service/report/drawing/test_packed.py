@@ -7,7 +7,7 @@ import pytest
 ROOT = Path(__file__).parents[4]
 
 
-def test_template_and_style_go_into_the_wheel() -> None:
+def test_template_and_style_are_included_in_the_wheel() -> None:
     wheel = pytest.importorskip("hatchling.builders.wheel", reason="hatchling is not installed")
     packed = {
         Path(file.distribution_path)

@@ -89,7 +89,7 @@ def test_an_unfinished_search_is_not_quoted(state: str, said: str) -> None:
     assert said in text
 
 
-def test_how_a_study_was_made() -> None:
+def test_page_states_date_mesh_seed_version_and_command() -> None:
     text = page(None).text
     for said in ("1 January 2026, 00:00 UTC", "916 nodes, 3 744 tetrahedra", "Seed", "0.1.0"):
         assert said in text, said

@@ -189,7 +189,7 @@ class TestSegmentation:
 
     @pytest.mark.parametrize("gap_mm", [2.0, None])
     @pytest.mark.parametrize("in_folder", [True, False])
-    def test_binary(
+    def test_reads_binary_segmentations(
         self,
         tmp_path: Path,
         frames: Any,

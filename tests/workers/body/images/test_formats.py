@@ -102,7 +102,7 @@ class TestEveryFormat:
         with pytest.raises(InputError, match=f"not a label map: it contains {message}"):
             read_volume(save(tmp_path / f"a{suffix}", grey), spacing_mm=UNIT)
 
-    def test_capitals(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
+    def test_reads_suffixes_in_capitals(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
         path = save(tmp_path / "a.nii.gz", body).rename(tmp_path / "A.NII.GZ")
         np.testing.assert_array_equal(read_volume(path).values, body)
 
@@ -159,7 +159,7 @@ class TestFourAxes:
             with pytest.raises(InputError, match="a volume has 3"):
                 read_volume(path, spacing_mm=UNIT)
 
-    def test_colour(self, tmp_path: Path) -> None:
+    def test_rejects_colour_images(self, tmp_path: Path) -> None:
         tifffile.imwrite(tmp_path / "a.tif", np.zeros((6, 5, 4, 3), np.uint8), photometric="rgb")
         with pytest.raises(InputError, match="a volume has 3"):
             read_volume(tmp_path / "a.tif", spacing_mm=UNIT)
@@ -288,7 +288,9 @@ class TestTiff:
         with pytest.raises(InputError, match="damaged or cut short"):
             read_volume(path, spacing_mm=UNIT)
 
-    def test_pages_of_two_kinds(self, tmp_path: Path, body: NDArray[np.uint8]) -> None:
+    def test_rejects_pages_of_different_kinds(
+        self, tmp_path: Path, body: NDArray[np.uint8]
+    ) -> None:
         with tifffile.TiffWriter(tmp_path / "a.tif") as writer:
             writer.write(body, photometric="minisblack")
             writer.write(np.zeros((3, 7, 7), np.uint16), photometric="minisblack")

@@ -209,7 +209,7 @@ def test_tiff_strip_larger_than_its_page_is_refused(
 
 
 class TestDicom:
-    def test_distant_slots_of_a_segmentation(
+    def test_segmentation_with_slices_far_apart_is_refused_before_allocating(
         self, tmp_path: Path, write_segmentation: Any, peak_mib: Callable[[], float]
     ) -> None:
         frame = np.ones((1000, 1000), np.uint8)

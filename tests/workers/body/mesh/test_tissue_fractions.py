@@ -121,7 +121,7 @@ def test_octants_of_a_cube_are_distinguished():
     """Six tetrahedra of a cube of 8 mm around the diagonal, a tissue in one octant only.
 
     The octant at the far corner (x, y, z > half) is a cube on the diagonal that all six
-    share, so each of them has one eighth of itself in it; the octant x > half, y, z < half
+    share, so it contains one eighth of each; the octant x > half, y, z < half
     cuts 1/8 of the volume of the cube from the two tetrahedra that go along x first.
     """
     side, low = 8.0, np.array([10.0, -20.0, 4.0])

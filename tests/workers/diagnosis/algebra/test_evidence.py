@@ -97,7 +97,7 @@ def test_a_parameter_without_effect_costs_nothing():
 
 
 @pytest.mark.parametrize("x", [-30.0, -3.0, 0.0, 2.0])
-def test_orthant_of_one(x):
+def test_one_dimensional_orthant_is_the_normal_distribution(x):
     found = log_orthant(np.array([[x]]), np.array([[4.0]]))[0]
     assert found == pytest.approx(norm.logcdf(x / 2), rel=1e-12)
 

@@ -65,8 +65,8 @@ def test_line_search_starts_near_the_last_length(
 def test_steps_lengthen_after_an_underrated_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Falls of 0.6 where 0.2 were expected: the next step is twice as long. Where falls are what
-    was expected, steps are what they are."""
+    """After a decrease of 0.6 where 0.2 was expected, the next step is twice as long. Steps keep
+    their length where decreases match the expectation."""
     _, tried = fitted(monkeypatch, lambda z: 3 * abs(z), lambda z: -0.2, expected=0.2)
     assert tried[:4] == pytest.approx([1.0, 0.8, 0.4, 0.0])
     _, tried = fitted(monkeypatch, lambda z: abs(z), lambda z: -0.2, expected=0.2)

@@ -66,15 +66,14 @@ def test_points_near_missing_pieces_are_unmatched():
 
 
 def test_neighbours_off_together_in_all_scans_are_unmatched():
-    """As where the scan at rest has a piece of tissue that is none: each lies five to six
-    deviations off what is around it, as a single point and scan may, and all of them together
-    may not."""
+    """As if the scan at rest had a spurious piece of tissue: each point is five to six deviations
+    off its surroundings, which is plausible for one point and scan, but not for all together."""
     points, _ = ellipsoid(K)
     away = np.linalg.norm(points - points[PIECE[0]], axis=1)
     two = np.argsort(away)[:2]
     assert away[two[1]] < BESIDE_MM
     deviation_mm = np.sqrt(STATED[0, 0])
-    for seed in (0, 3, 4):  # with other noise a point lies more than six off, alone
+    for seed in (0, 3, 4):  # with other noise a point is more than six off, alone
         residual = scanned(seed)
         for scan in (0, 1):
             residual[scan * K + two] = -4.0 * deviation_mm

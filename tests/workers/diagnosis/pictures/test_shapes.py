@@ -1,4 +1,4 @@
-"""Coarse surfaces: still closed, turned outwards, and as large as what they show."""
+"""Coarse surfaces: closed, oriented outwards, and as large as the original ones."""
 
 import numpy as np
 import pytest

@@ -34,10 +34,10 @@ def at_rest():
 
 
 def at_force(force_n: float) -> dict:
-    """A scan that is meant, as case.yaml says it."""
+    """Entry of case.yaml for a planned scan."""
     return {"volume": f"not_there_{force_n:g}N.nrrd", "force_n": force_n}
 
 
 def at_distance(distance_mm: float) -> dict:
-    """The same with plates that are put at a distance."""
+    """The same with plates at a given distance."""
     return {"volume": f"not_there_{distance_mm:g}mm.nrrd", "plate_distance_mm": distance_mm}

@@ -270,7 +270,7 @@ def test_rotated_plates_start_at_the_ends_of_the_body() -> None:
     assert (half.lower_mm, half.upper_mm) == pytest.approx((-reach / 2, reach / 2))
 
 
-def test_a_heavier_load_closes_more() -> None:
+def test_a_heavier_load_doubles_the_force_or_brings_the_plates_closer() -> None:
     twice = pressed_by(ForceControl(10, -31, 31), 2.0, NODES_MM)
     assert isinstance(twice, ForceControl)
     assert twice.force_n == 20

@@ -96,7 +96,7 @@ def test_twins_are_not_separated():
 
 
 def test_a_second_load_separates_effects_alike_at_the_first():
-    """Two effects are one and the same at the low load; they differ at the high one only."""
+    """Two effects are identical at the low load and differ only at the high one."""
     low = of_states(nominal_problem(), catalogue(), LOW)[0]
     shape = mode(60, (0, 1, 1), 0, 1.0)
     stiff = mode(60, (0, 1, 1), 0, 4.0) * (0.6 / 0.6**4)

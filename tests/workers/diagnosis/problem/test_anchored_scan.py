@@ -44,7 +44,7 @@ def test_at_the_anchor_nothing_changes():
 
 
 def test_a_body_that_slides_keeps_its_noise():
-    """3 mm along the plane do not move the interface; evaluated anew, its error would differ."""
+    """3 mm along the plane do not move the interface; evaluated again, its error would differ."""
     there = anchored(scan(drawn_plane), POINTS, NOTHING, LENGTH_MM)
     at_rest = drawn_plane(POINTS, NOTHING)[0]
     slid = POINTS + np.array([3.0, 0.0, 0.0])
@@ -76,7 +76,7 @@ def test_distance_of_a_round_body_is_unbiased(step):
 
 
 def test_growth_of_a_small_lump_is_unbiased():
-    """No disc of the noise's length is flat on a radius of 8 mm, and the average is less steep."""
+    """At a radius of 8 mm, a disc of the noise's length is not flat and its mean less steep."""
     on = RNG.standard_normal((200, 3))
     on *= 8.0 / np.linalg.norm(on, axis=1)[:, None]
     lump = scan(lambda points, of: (ball(points, of)[0] + 32.0, ball(points, of)[1]))

@@ -148,13 +148,13 @@ def test_a_field_that_corrects_the_form_is_no_evidence_against_an_effect():
     assert found[1] < 0.15
 
 
-def test_a_pair_is_named_with_the_more_probable_first():
+def test_names_the_more_probable_effect_of_a_pair_first():
     found = weigh(
         Hypothesis(("a",), -90.0), Hypothesis(("c",), -70.0), Hypothesis(("a", "c"), -50.0)
     )
     assert found.kind == "effect"
-    assert set(found.primary) == {"a", "c"}
-    assert found.probabilities["c"] >= found.probabilities["a"] > 0.9
+    assert found.primary == ("c", "a")
+    assert found.probabilities["c"] > found.probabilities["a"] > 0.9
 
 
 def test_a_doubtful_second_effect_is_not_named():
@@ -290,9 +290,7 @@ def drawn_cases():
     rng = np.random.default_rng(57)
     sensitivities = catalogue()[:5]
     labels = ["nothing", "field", "single", "single field", "pair", "pair field"]
-    odds = PriorOdds(
-        OddsSettings(beside_unlisted=1.0)
-    )  # in this world effects are no mere likeness
+    odds = PriorOdds(OddsSettings(beside_unlisted=1.0))  # here effects are never imitated
     each = np.array(astuple(odds.kinds)[:6])
     cases = []
     for kind in rng.choice(labels, size=300, p=each / each.sum()):
@@ -309,7 +307,7 @@ def drawn_cases():
 
 
 def test_probabilities_are_reliable(drawn_cases):
-    """Of the effects given a probability in a bin, that part acts; within 3 binomial errors."""
+    """In each bin, the share of effects that act is the mean probability, to 3 binomial errors."""
     claims = np.array([p for _, _, v in drawn_cases for p in v.probabilities.values()])
     acts = np.array([n in who for _, who, v in drawn_cases for n in v.probabilities])
     for low, high in ((0.0, 0.05), (0.05, 0.2), (0.2, 0.6), (0.6, 0.95), (0.95, 1.01)):
@@ -338,7 +336,7 @@ def test_the_set_of_90_per_cent_covers(drawn_cases):
 
 
 def test_a_rarer_effect_needs_more_evidence():
-    """By the logarithm of how rare it is."""
+    """The additional evidence is the negative logarithm of its prior odds."""
     rare = PriorOdds(of_effect={"a": 0.2})
     told = [Hypothesis((), 0.0), Hypothesis(("a",), 1.0), Hypothesis(("b",), 1.0 + np.log(0.2))]
     found = probabilities(told, 5, rare)

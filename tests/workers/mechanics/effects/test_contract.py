@@ -187,7 +187,7 @@ def test_only_effects_about_the_centre_depend_on_it(e):
 
 
 @pytest.mark.parametrize("e", [e for e in ON_IMAGE if e.moves_scan], ids=lambda e: e.name)
-def test_scan_motion_has_three_shifts_and_three_turns(e):
+def test_scan_motion_has_three_shifts_and_three_rotations(e):
     points, normals, tissues = interface()
     moved = rigidly_moved(points, np.array(e.prior_sd), FRAME.centre_mm) - points
     shift = e.shift(points, normals, tissues, e.plausible, FRAME)

@@ -66,7 +66,7 @@ def moved(problem: Problem, start: Equilibrium | None = None) -> np.ndarray:
 
 
 def difference(e: Effect, k: int, here: Equilibrium) -> np.ndarray:
-    """Return the derivative of the solution by parameter `k`, by Richardson extrapolation."""
+    """Return the derivative of the solution in parameter `k`, by Richardson extrapolation."""
     at = e.complete(AT.get(e.name, {}))
     parameter = e.parameters[k]
     forward = one_sided(parameter)

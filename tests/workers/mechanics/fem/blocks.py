@@ -57,7 +57,7 @@ def level_of(
     tissue: np.ndarray | None = None,
     prolongation: sparse.csr_matrix | None = None,
 ) -> MeshLevel:
-    """A mesh level, all fat unless `tissue` says otherwise."""
+    """A mesh level, all fat unless `tissue` is given."""
     fractions = np.zeros((len(mesh.tets), len(Tissue)), np.float32)
     fractions[np.arange(len(mesh.tets)), Tissue.FAT if tissue is None else tissue] = 1
     wall = np.flatnonzero(mesh.nodes[:, 2] < 1e-9).astype(np.int32)

@@ -63,12 +63,12 @@ def deformations() -> np.ndarray:
 
 
 def complex_step(f, F: np.ndarray) -> np.ndarray:
-    """Return the derivative of an analytic f by F, exact to rounding."""
+    """Return the derivative of an analytic f with respect to F, exact to rounding."""
     return _by_entries(lambda E: np.imag(f(F + 1e-30j * E)) / 1e-30)
 
 
 def differences(f, F: np.ndarray, h: float = 2e-4) -> np.ndarray:
-    """Return the derivative of f by F from five points, of fourth order in h."""
+    """Return the derivative of f with respect to F by five points, of fourth order in h."""
 
     def along(E: np.ndarray) -> np.ndarray:
         near, far = f(F + h * E) - f(F - h * E), f(F + 2 * h * E) - f(F - 2 * h * E)

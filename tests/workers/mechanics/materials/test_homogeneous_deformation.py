@@ -75,7 +75,7 @@ def test_ogden_in_simple_shear():
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("name", ISOCHORIC)
 def test_work_of_the_load_equals_the_energy(name, mode):
-    """Derivative of W(F(l)) by l: the load P, twice if it pulls in two directions."""
+    """dW(F(l))/dl equals the load P, or twice P if it pulls in two directions."""
     law, h = ISOCHORIC[name], 1e-5
     l = np.linspace(0.7, 1.5, 9)
     W = [law.energy(deformation_gradient(mode, l + s * h)) for s in (-1, 1)]

@@ -47,7 +47,7 @@ def made_by(plugin: LawPlugin, shape: dict[str, float], noise: float = 0.0) -> l
     return tables
 
 
-def test_covers_every_own_law():
+def test_covers_every_built_in_law():
     assert set(law_names()) >= set(SHAPES)
 
 
@@ -146,7 +146,7 @@ def test_reads_units_and_modes_of_a_table(tmp_path):
     [
         ("stretch,stress\n1.1,2\n", "stress_kpa"),
         ("stretch,strain,stress_kpa\n1.1,0.1,2\n", "one column of the deformation"),
-        ("stretch,stress_kpa\n1.1,much\n", "line 2: stress_kpa is no number, found 'much'"),
+        ("stretch,stress_kpa\n1.1,much\n", "line 2: stress_kpa is not a number, found 'much'"),
         ("stretch,stress_kpa\n1.1\n", "line 2: stress_kpa"),
         ("stretch,stress_kpa,mode\n1.1,2,shear\n", "uniaxial, equibiaxial, planar"),
         ("stretch,stress_kpa\n", "no rows"),

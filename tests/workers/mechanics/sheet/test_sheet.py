@@ -79,6 +79,31 @@ def force_on(at, nodes, axis):
     return at.reactions[nodes, axis].sum()
 
 
+def test_elastic_bed_spreads_a_pull_over_its_characteristic_length():
+    """A narrow strip on a bed follows E t u'' = k u: u = U sinh(x / l) / sinh(L / l)."""
+    narrow = np.array([[0, 0], [LENGTH, 0], [LENGTH, 1.0], [0, 1.0]])
+    sheet = sheet_mesh(narrow, [], 900, THICKNESS)
+    stiffness, pull = 5e-4, 0.01
+    spread = np.sqrt(E * THICKNESS / stiffness)
+    holds = (
+        Hold(side(0, 0.0), axes=(True, False, False)),
+        Hold(side(0, LENGTH), (pull, 0, 0), (True, False, False)),
+    )
+    bed = Wall((False, False, False), (stiffness, stiffness, 0.0))
+    given = replace(problem(Constants(E, 0.3), holds=holds), wall=bed)
+    at = equilibrium(sheet, given)
+    exact = pull * np.sinh(sheet.nodes[:, 0] / spread) / np.sinh(LENGTH / spread)
+    np.testing.assert_allclose(at.solution.displacement_mm[:, 0], exact, atol=0.002 * pull)
+    softer, stiffer = (
+        replace(given, wall=replace(bed, spring_mpa_per_mm=(k, k, 0.0)))
+        for k in (0.99 * stiffness, 1.01 * stiffness)
+    )
+    (moved,), _ = at.tangents([Change(stiffer, softer, 0.02 * stiffness)])
+    ahead, behind = (equilibrium(sheet, one).solution.displacement_mm for one in (stiffer, softer))
+    by_hand = (ahead - behind) / (0.02 * stiffness)
+    np.testing.assert_allclose(moved, by_hand, atol=2e-3 * np.abs(by_hand).max())
+
+
 def test_patch_of_irregular_triangles_deforms_affinely(strip):
     """An affine border displacement gives an affine interior with uniform stress."""
     affine = np.array([[0.3, 0.1, 0], [-0.05, -0.2, 0], [0, 0, 0]])

@@ -1,4 +1,4 @@
-"""A structured case says everything with its unit, and refuses what it does not know."""
+"""Keys of a structured case, which include units; unknown ones are refused."""
 
 from copy import deepcopy
 from pathlib import Path

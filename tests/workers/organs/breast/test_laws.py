@@ -75,7 +75,7 @@ def test_the_default_is_not_written() -> None:
         ({"fat": "fung"}, {"fung_b_glandular": 2}, "the law of glandular is neo-hookean"),
         ("yeoh", {"yeoh_c4_fat": 2}, "did you mean 'yeoh_c"),
         ("fung", {"fung_b_fat": -2}, "must be at least 0"),
-        ("fung", {"stiffening": 2}, "its shape constants say how the tissue stiffens"),
+        ("fung", {"stiffening": 2}, "its shape constants define how the tissue stiffens"),
     ],
 )
 def test_rejects_invalid_values(law: Any, constants: Any, words: str) -> None:
@@ -93,14 +93,14 @@ def study_of(law: Any, parameters: dict[str, list[float]]) -> StudySpec:
     return validated(StudySpec, data, "The study")
 
 
-def test_shape_constants_are_searched_where_the_law_has_them() -> None:
+def test_shape_constants_are_searched_only_if_the_law_has_them() -> None:
     study = study_of({"fat": "fung"}, {"E_fat_kpa": [5, 20], "fung_b_fat": [0, 9]})
     assert study.free_parameters[-1] == {"name": "fung_b_fat", "lower": 0, "upper": 9}
     assert "fung_b_fat" in dict(study.case.understood(set()))["held"]
     assert "Fung in fat, neo-Hookean in glandular" in dict(study.case.understood(set()))["law"]
     with pytest.raises(InputError, match="belongs to the law yeoh, but the law of fat is fung"):
         study_of("fung", {"yeoh_c2_fat": [0, 1]})
-    with pytest.raises(InputError, match="shape constants say how"):
+    with pytest.raises(InputError, match="shape constants define how"):
         study_of("fung", {"stiffening": [0, 1]})
     assert study_of({"fat": "fung"}, {"stiffening": [0, 1]}).free_parameters
 

@@ -47,7 +47,7 @@ def test_the_noise_is_measured(twice: Path) -> None:
     assert found.reference_sd_mm == found.sd_mm
 
 
-def test_the_result_depends_on_it(twice: Path, tmp_path: Path) -> None:
+def test_source_digest_depends_on_the_repeat(twice: Path, tmp_path: Path) -> None:
     store = TaskStore(tmp_path / "store")
     case = read_case(twice)
     assert case.repeat is not None

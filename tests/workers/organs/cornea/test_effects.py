@@ -114,7 +114,9 @@ def test_inconsistent_load_has_no_equilibrium(problem: CorneaProblem) -> None:
     assert "jet" in off.solution.outcome.reason
 
 
-def test_derivative_by_the_yielding_of_a_held_limbus(problem: CorneaProblem) -> None:
+def test_derivative_with_respect_to_the_compliance_of_a_held_limbus(
+    problem: CorneaProblem,
+) -> None:
     """An elastic limbus has other unknowns than a held one."""
     effect = next(e for e in CORNEA_EFFECTS if e.name == "limbus_compliance")
     where = dict.fromkeys(effect.names, 0.0)

@@ -1,5 +1,7 @@
 """Effects of the bench and their actions on problems and observations."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,9 +14,16 @@ from palpate.workers.mechanics.effects.loading import GRAM, LOAD_SCALE
 from palpate.workers.mechanics.effects.observation import FRAME_TURN, MARKER_STANDOFF
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame
-from palpate.workers.mechanics.fem.problem.loads import DeadForce, NoPlates, Wall
+from palpate.workers.mechanics.fem.problem.loads import (
+    DeadForce,
+    DisplacementField,
+    Hold,
+    NoPlates,
+    Wall,
+)
 from palpate.workers.mechanics.fem.problem.regions import Box
 from palpate.workers.organs.specimen.effects import specimen_effects
+from palpate.workers.organs.specimen.load_cells import LoadCell
 from palpate.workers.units import MM_PER_KPA
 
 FRAME = Frame((5.0, 5.0, 20.0), (5.0, 5.0, 20.0))
@@ -24,6 +33,7 @@ PROBLEM = Problem(
     NoPlates(),
     wall=Wall((True, True, True)),
     forces=(DeadForce((0.0, -0.5, 0.1), TIP),),
+    holds=(Hold(TIP, (0.0, -2.0, 0.0)),),
 )
 EFFECTS = specimen_effects(
     (0.0, -1.0, 0.0),
@@ -33,6 +43,9 @@ EFFECTS = specimen_effects(
     markers=True,
     clamped=True,
     known_nu=True,
+    moved=True,
+    cells=(LoadCell(TIP, 1, 2.0), LoadCell(TIP, 2, 4.0)),
+    most_n=1.5,
 )
 BY_NAME = {e.name: e for e in EFFECTS}
 every = pytest.mark.parametrize("e", EFFECTS, ids=lambda e: e.name)
@@ -74,6 +87,8 @@ def test_catalogue_omits_effects_that_cannot_act():
         "added_mass",
         "clamp_compliance",
         "marker_standoff",
+        "grip_slip",
+        "load_cell_offset",
     }
 
 
@@ -101,6 +116,25 @@ def test_clamp_is_compliant_along_its_normal_only():
     wall = CLAMP_COMPLIANCE.apply(PROBLEM, values, FRAME).wall
     assert wall.held == (True, True, False)
     assert wall.spring_mpa_per_mm == pytest.approx((0, 0, 0.05))
+
+
+def test_slip_shortens_all_prescribed_displacements():
+    field = DisplacementField(((0, 0, 40), (10, 10, 40)), ((0.0, -2.0, 0.0), (0.0, -4.0, 0.0)))
+    two = replace(PROBLEM, holds=(*PROBLEM.holds, Hold(TIP, field)))
+    stated, measured = BY_NAME["grip_slip"].apply(two, {"grip_slip": 0.25}, FRAME).holds
+    assert stated.displacement_mm == (0.0, -1.5, 0.0)
+    assert measured.displacement_mm.displacement_mm == ((0.0, -1.5, 0.0), (0.0, -3.0, 0.0))
+    with pytest.raises(InputError, match="below 1"):
+        BY_NAME["grip_slip"].apply(two, {"grip_slip": 1.0}, FRAME)
+
+
+def test_offset_changes_the_readings_of_its_own_cell():
+    offset = BY_NAME["load_cell_offset"]
+    points, normals = np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1))
+    values = {"cell_offset_1": 0.1, "cell_offset_2": -0.2}
+    found = offset.shift(points, normals, np.ones(5), values, FRAME)
+    assert found == pytest.approx([0, 0, 0, 0.2, -0.8])
+    assert offset.prior_sd == pytest.approx((0.15, 0.15))
 
 
 def test_base_motion_is_a_rigid_motion():

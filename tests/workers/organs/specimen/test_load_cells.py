@@ -73,7 +73,7 @@ def test_reactions_match_uniaxial_stress(tmp_path):
     ],
 )
 def test_derivatives_of_reactions_match_finite_differences(tmp_path, strain):
-    """Derivatives by stiffness, Poisson's ratio and displacement of the ends."""
+    """Derivatives in stiffness, Poisson's ratio and displacement of the ends."""
     model, problem = block(tmp_path)
     problem = replace(further(problem, strain), tolerance_mm=1e-9)
     (tissue,) = problem.constants

@@ -23,7 +23,7 @@ def rotation(rng):
 @pytest.mark.parametrize(
     ("window", "expected"), [((0, 1), 0.5), ((2.0, 4.0), 3.0), ((-1, 0), 4.5), ((-2, -1), 3.5)]
 )
-def test_averages_a_window_also_from_the_end(window, expected):
+def test_averages_a_window_counted_from_the_start_or_the_end(window, expected):
     places = np.column_stack([TIMES, 0 * TIMES, 2 * TIMES])
     mean = Recording(TIMES, {"m": places}).mean("m", window)
     np.testing.assert_allclose(mean, [expected, 0, 2 * expected], atol=1e-9)

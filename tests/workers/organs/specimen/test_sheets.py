@@ -66,11 +66,11 @@ def moved(stretch):
     return points() * [stretch - 1, stretch**-0.5 - 1]
 
 
-def written(folder, data):
+def written(folder, data, slip=0.0):
     """Write the file of an experiment and its tables without z."""
     rng = np.random.default_rng(3)
     for name, stretch in STRETCHES.items():
-        noisy = moved(stretch) + 0.01 * rng.standard_normal((12, 2))
+        noisy = moved(1 + (1 - slip) * (stretch - 1)) + 0.01 * rng.standard_normal((12, 2))
         rows = np.hstack([points(), noisy])
         head = "x_mm,y_mm,ux_mm,uy_mm"
         np.savetxt(folder / f"{name}.csv", rows, delimiter=",", header=head, comments="")
@@ -102,6 +102,40 @@ def test_diagnosis_finds_the_stiffness_and_predicts_the_force(tmp_path):
     assert drawn["edges_rest"].shape[1:] == (2, 3)
     assert any("bending" in name for name, _ in summary.not_simulated)
     assert "uz_mm was not measured and is not compared." in summary.data_notes
+
+
+def diagnosed(source, folder, names):
+    """Return the summary of a diagnosis with some effects."""
+    store = diagnosed_store(source, folder / "store", NODES, effects=names)
+    return summarise(diagnosis_in(store), store.effects, source.name)
+
+
+def with_forces(data, force):
+    """Set the readings of the load cell."""
+    for state, stretch in zip(data["states"], STRETCHES.values(), strict=True):
+        state["reactions"][0]["force_n"] = force(stretch)
+    return data
+
+
+GRIPS = ["grip_slip", "load_cell_offset", "stiffness_gradient", "frame_turn"]
+
+
+def test_slip_of_the_moving_grip_is_found(tmp_path):
+    data = with_forces(described(), lambda stretch: force_n(1 + 0.7 * (stretch - 1)))
+    source = read_experiment(written(tmp_path, data, slip=0.3))
+    summary = diagnosed(source, tmp_path, GRIPS)
+    assert summary.primary == ("grip_slip",)
+    assert summary.effect("grip_slip").magnitude == pytest.approx(0.3, abs=0.01)
+    assert summary.constants["E_kpa"].after == pytest.approx(E_KPA, rel=0.02)
+
+
+def test_offset_of_a_load_cell_is_found(tmp_path):
+    offset_n = 0.01
+    data = with_forces(described(), lambda stretch: force_n(stretch) + offset_n)
+    summary = diagnosed(read_experiment(written(tmp_path, data)), tmp_path, GRIPS)
+    assert summary.primary == ("load_cell_offset",)
+    assert summary.effect("load_cell_offset").magnitude == pytest.approx(offset_n, rel=0.25)
+    assert summary.constants["E_kpa"].after == pytest.approx(E_KPA, rel=0.04)
 
 
 def test_reads_markers_without_z(tmp_path):

@@ -103,7 +103,7 @@ def test_residual_of_the_true_model_is_noise(source):
 
 @pytest.mark.slow
 def test_derivatives_match_finite_differences(source):
-    """Derivatives by constants and by effects on body and observation together."""
+    """Derivatives in constants and in effects on body and observation together."""
     inverse = source.inverse_problem(NODES, 0.0)
     wanted = ("self_weight", "marker_standoff", "frame_turn", "base_motion")
     free = unknowns(inverse.free, [e for e in source.effects if e.name in wanted])
@@ -125,7 +125,7 @@ def test_derivatives_match_finite_differences(source):
 
 
 @pytest.mark.slow
-def test_derivatives_by_shape_constants_match_finite_differences(tmp_path):
+def test_derivatives_in_shape_constants_match_finite_differences(tmp_path):
     """With Yeoh's law, c2 is a fitted constant and strain stiffening is not a candidate."""
     path = experiment(tmp_path)
     data = yaml.safe_load(path.read_text())

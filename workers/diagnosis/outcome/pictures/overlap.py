@@ -176,9 +176,10 @@ def on_one_box(volumes: Sequence[Volume]) -> tuple[NDArray[np.uint8], Triple]:
     for volume in volumes:
         if not volume.on_lattice_of(first):
             raise InputError(
-                f"Labels on one box need one lattice: found voxels of {first.spacing_mm} mm with "
-                f"one at {first.origin_mm} mm, and of {volume.spacing_mm} mm with one at "
-                f"{volume.origin_mm} mm. Warp the labels onto the lattice of the scan."
+                f"Labels on one box must share a lattice, but the first volume has voxels of "
+                f"{first.spacing_mm} mm from {first.origin_mm} mm and another has voxels of "
+                f"{volume.spacing_mm} mm from {volume.origin_mm} mm. Warp the labels onto the "
+                "lattice of the scan."
             )
         away = (np.asarray(volume.origin_mm) - first.origin_mm) / spacing
         starts.append(np.rint(away).astype(int)[::-1])

@@ -80,11 +80,11 @@ class PressedPoints:
 
     @cached_property
     def force(self) -> FloatArray:
-        """Derivative of the energy by each point, shape (f, p, 3) in N."""
+        """Gradient of the energy in each point, shape (f, p, 3) in N."""
         return -self.load[:, :, None] * self.at.gradient
 
     def travel_force(self, velocity: FloatArray) -> FloatArray:
-        """Return the derivative of each face's energy by the travel of the plate, (f,) in N."""
+        """Return the derivative of each face's energy in the travel of the plate, (f,) in N."""
         return (self.load * (self.at.gradient @ velocity)).sum(axis=1)
 
 
@@ -124,7 +124,7 @@ class EdgeContact:
 
     @cached_property
     def share_slope(self) -> FloatArray:
-        """Derivative of the share by each corner, shape (f, 3, 3) per mm."""
+        """Gradient of the share in each corner, shape (f, 3, 3) per mm."""
         slope = 2 * (1 - self.share)[:, None] * self.behind / CHANGE_MM**2
         return -slope[:, :, None] * self.edge.direction
 
@@ -137,7 +137,7 @@ class EdgeContact:
         return self._gathered(self.share[:, None] * (self.points.load @ SHAPES))
 
     def normal_force_change(self, moved: FloatArray, travel: float) -> FloatArray:
-        """Return the change of the nodal normal forces due to the points, shape (c,) in N.
+        """Return the change in the nodal normal forces due to the points, shape (c,) in N.
 
         Along a motion of the contact nodes, (c, 3), and a travel of the plates; it includes the
         stiffness taken from the nodes.
@@ -178,7 +178,7 @@ class EdgeContact:
 
     @cached_property
     def share_coupling(self) -> FloatArray:
-        """Coupling with the travel due to the change of the share, (c, 3) in N/mm.
+        """Coupling with the travel due to the change in the share, (c, 3) in N/mm.
 
         It belongs to the parts of the stiffness that may be negative.
         """
@@ -190,7 +190,7 @@ class EdgeContact:
         """Return the stiffness between the corners of each face, (f, 3, 3, 3, 3) in N/mm.
 
         The axes are face, two corners, and their directions. `convex` omits the parts that may be
-        negative: the curvature of the rounding and the change of the share.
+        negative: the curvature of the rounding and the change in the share.
         """
         points, d = self.points, self.edge.direction
         g = points.at.gradient
@@ -204,7 +204,7 @@ class EdgeContact:
         return whole if convex else whole + self._stiffness_of_share()
 
     def _stiffness_of_share(self) -> FloatArray:
-        """Return the stiffness due to the change of the share."""
+        """Return the stiffness due to the change in the share."""
         d, s = self.edge.direction, self.behind / CHANGE_MM
         change = np.einsum("fqi,qa->fai", self.points.force, SHAPES) - self.at_corners.force
         cross = self.share_slope[:, :, None, :, None] * change[:, None, :, None, :]

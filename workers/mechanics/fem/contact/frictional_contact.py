@@ -86,7 +86,7 @@ class PlateFriction:
         The step starts at (x, travel_mm) and runs along (u, travel).
         """
         if self.dual is None:
-            raise AssertionError("the direction is no unknown")
+            raise AssertionError("the direction is not an unknown")
         s, moved, n = self.slip(x, travel_mm), u[self.nodes.index], self.plate.normal
         moved = moved - travel * self.plate.velocity
         moved -= (moved @ n)[:, None] * n

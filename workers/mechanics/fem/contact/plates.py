@@ -66,7 +66,7 @@ class PlateContact:
         return self.nodal_load + self.at_edge.normal_force()
 
     def normal_force_change(self, moved: FloatArray, travel: float) -> FloatArray:
-        """Return the change of the normal force, shape (c,) in N.
+        """Return the change in the normal force, shape (c,) in N.
 
         Along a motion of the contact nodes, (c, 3), and a travel of the plates.
         """

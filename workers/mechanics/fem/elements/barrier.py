@@ -6,7 +6,7 @@ Below :math:`J_b`, half of the volume at rest, each element stores
 
 with mu the shear modulus at rest, whatever the law. It is twice continuously differentiable, and
 zero where no element loses half of its volume. With :math:`C_a = \mathrm{cof}(F) \, g_a`, the
-derivative of J by the position of node a, its force is :math:`V W_b' C_a` and its tangent
+gradient of J in the position of node a, its force is :math:`V W_b' C_a` and its tangent
 :math:`V (W_b'' C_a \otimes C_b - W_b' [F (g_a \times g_b)]_\times)`.
 """
 

@@ -1,6 +1,6 @@
 r"""Tangent of an equilibrium with friction or follower pressure, which have no energy.
 
-It adds their derivative N by positions and travel to the symmetric tangent K. Friction follows
+It adds their derivative N in positions and travel to the symmetric tangent K. Friction follows
 the normal force, mu (d lambda) w with the direction w, and lambda is as stiff as the plates:
 pressing a node in by a micrometre drags it along with a force comparable to its support.
 Multiplied by :math:`1 + \mu w n^T` from the left, K + N has the stiff part of K, which is
@@ -19,7 +19,7 @@ from palpate.workers.mechanics.fem.linear.multigrid import LinearSolver
 
 
 class CoupledTangent:
-    """Derivative of all forces by the positions and the travel of the plates.
+    """Derivative of all forces with respect to positions and the travel of the plates.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class CoupledTangent:
         self._moves = tangent.plate_stiffness > 0
 
     def solve(self, force: FloatArray, plate: float, tolerance: float) -> tuple[Correction, float]:
-        """Solve for displacement and travel under a force, (n, 3) in N, and one on the plates."""
+        """Solve for displacement and travel under nodal forces, (n, 3) in N, and a plate force."""
         t, b = self._tangent, force.copy()
         if self._moves:
             share = plate / self._plate_stiffness

@@ -190,7 +190,7 @@ def _collapses(level: Level, state: State) -> bool:
 def solve_bordered(
     linear: LinearSolver, tangent: Tangent, force: FloatArray, plate: float, tolerance: float
 ) -> tuple[Correction, float]:
-    """Solve for displacement and travel under a force, (n, 3) in N, and one on the plates."""
+    """Solve for displacement and travel under nodal forces, (n, 3) in N, and a plate force."""
     if tangent.plate_stiffness == 0:
         return linear.solve(force, tolerance), 0.0
     b = force.copy()

@@ -1,11 +1,11 @@
-r"""Derivatives of an equilibrium by changes of the problem: one linear solve each.
+r"""Derivatives of an equilibrium for changes in the problem: one linear solve each.
 
 With the out-of-balance force R(x, phi) = 0 at an equilibrium,
 
 .. math:: K \, dx/d\phi = - \partial R / \partial \phi .
 
 The right side is a difference of two forces at the same positions, which costs no
-solve. Where friction or follower pressure act, their non-symmetric derivative by x is
+solve. Where friction or follower pressure act, their non-symmetric derivative in x is
 added; see `coupled_tangent`. With friction, the slip of earlier load steps is held.
 """
 
@@ -48,7 +48,7 @@ RELATIVE_ERROR = 1e-5
 def tangents(
     at: Equilibrium, changes: Sequence[Change], tolerance: float = RELATIVE_ERROR
 ) -> FloatArray:
-    """Return the derivative of the displacement by each change.
+    """Return the derivative of the displacement for each change.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def tangents(
 def tangents_with_reactions(
     at: Equilibrium, changes: Sequence[Change], tolerance: float = RELATIVE_ERROR
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of the displacement and of the reactions by each change.
+    """Return the derivatives of the displacement and of the reactions for each change.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class _RightSide:
     prescribed : ndarray, shape (n, 3)
         Motion of held nodes, in mm per unit of the parameter.
     unbalanced : ndarray, shape (n, 3)
-        Change of the forces at fixed positions, on all nodes including held ones.
+        Change in the forces at fixed positions, on all nodes including held ones.
     """
 
     force: FloatArray
@@ -180,7 +180,7 @@ class _Linearisation:
         return _RightSide(b, plate, prescribed, unbalanced)
 
     def reactions(self, right: _RightSide, moved: FloatArray) -> FloatArray:
-        """Return the change of the reactions when the nodes move by `moved`, shape (n, 3)."""
+        """Return the change in the reactions when the nodes move by `moved`, shape (n, 3)."""
         change = right.unbalanced + self._stiffness_times(moved)
         return np.where(self.level.free > 0, 0.0, change)
 

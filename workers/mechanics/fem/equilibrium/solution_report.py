@@ -51,7 +51,7 @@ def report(finest: Level, imaged: LevelModel, path: LoadPath) -> Solution:
 
 
 def _collapsed_tissue(model: LevelModel, state: State) -> str:
-    """Return which tissue has lost most of its volume, to follow a reason; maybe empty."""
+    """Return a clause on squeezed elements and their main tissue, to follow a reason; or ""."""
     ratios = element_energy.volume_ratios(state.x, model.elements)
     collapsed = ratios < SQUEEZED_J
     if not collapsed.any():
@@ -65,7 +65,7 @@ def _collapsed_tissue(model: LevelModel, state: State) -> str:
 
 
 def _travel_mm(model: LevelModel, stage: Stage, state: State) -> float:
-    """Return how far the plates have closed, from where they would just touch the body."""
+    """Return the distance by which the plates approached after just touching the body."""
     if stage.force_n is not None:
         return state.travel_mm
     if stage.gap is None:

@@ -60,7 +60,7 @@ class Equilibrium:
     def expecting(self, moved_mm: FloatArray) -> "Equilibrium":
         """Return a start for a problem whose nodes are about `moved_mm`, (n, 3), further.
 
-        `moved_mm` may be the tangents times a change of the problem. With several stages, whose
+        `moved_mm` may be the tangents times a change in the problem. With several stages, whose
         paths are unknown, the equilibrium is returned unchanged.
         """
         if len(self.path) != 1:

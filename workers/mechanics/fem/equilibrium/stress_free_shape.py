@@ -30,7 +30,7 @@ class NoStressFreeShapeError(Exception):
 
 @dataclass(frozen=True, eq=False)
 class _KnownShapes:
-    """Last stress-free shapes of one body, each with the problem under whose weight it hangs."""
+    """Last stress-free shapes of one body, each with the problem whose weight deforms it."""
 
     shapes: list[tuple[Problem, Model]] = field(default_factory=list)
     lock: Lock = field(default_factory=Lock)

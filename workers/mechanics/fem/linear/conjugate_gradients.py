@@ -77,7 +77,7 @@ class Operator(Protocol):
 def solve(
     operator: Operator, b: FloatArray, tolerance: float, *, by_error: bool = False
 ) -> Correction:
-    """Solve for `b`, (n, 3), to a relative residual, or to a relative error as `solve_many`."""
+    """Solve for `b`, (n, 3), to a relative residual, or a relative error as in `solve_many`."""
     r = np.zeros((len(b), 4))
     r[:, :3] = b
     x, p, y = np.zeros_like(r), np.zeros_like(r), np.zeros_like(r)

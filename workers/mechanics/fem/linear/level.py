@@ -87,7 +87,7 @@ class Tangent:
     contact_index : ndarray of int32, shape (c,)
         The nodes on which `coupling` acts.
     coupling : ndarray, shape (c, 3)
-        Border of the tangent: its derivative by the travel of the plates, in N/mm.
+        Border of the tangent: derivatives in the travel of the plates, in N/mm.
     plate_stiffness : float
         Corner of the border; zero means that the plates do not move.
     """
@@ -184,7 +184,7 @@ class Level:
         return self.problem.membrane is not None and self.problem.membrane.wrinkles
 
     def is_conservative(self, state: State) -> bool:
-        """Return whether all forces have an energy: no friction and no follower pressure."""
+        """Check whether all forces have an energy: no friction and no follower pressure."""
         return not state.history.friction and not self.problem.pressures
 
     def with_prescribed(self, x: FloatArray, fraction: float) -> FloatArray:
@@ -301,7 +301,7 @@ class Level:
         return self._force(state, at, stage, np.zeros((0, EDGE), np.float32))
 
     def outer_force(self, state: State, contact: ContactPotential, stage: Stage) -> FloatArray:
-        """Return what springs, loads and plates leave out of balance, without body and skin."""
+        """Return the out-of-balance force of springs, loads and plates, without body and skin."""
         m = self.model
         force = self.springs * (state.x - m.nodes)
         force -= stage.fraction * self._load(state)

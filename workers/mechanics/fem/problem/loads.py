@@ -1,6 +1,6 @@
 """Loads and boundary conditions: plates, pressure, forces, holds, chest wall."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class Device:
     lower_share : float
         Share of the travel made by the lower plate, 0 to 1.
     friction : float
-        Coulomb's coefficient between skin and both plates.
+        Coulomb friction coefficient between skin and both plates.
     edge_mm : float, optional
         Start of the flat part of both plates along the second in-plane axis; behind it their
         rounding curves away from the body. None for plates without an edge.
@@ -170,6 +170,19 @@ class Hold:
         if isinstance(self.displacement_mm, DisplacementField):
             return self.displacement_mm.at(points)
         return np.tile(np.asarray(self.displacement_mm, np.float64), (len(points), 1))
+
+    def scaled(self, factor: float) -> "Hold":
+        """Return the hold with its displacement multiplied by a factor."""
+        moved = self.displacement_mm
+        if isinstance(moved, DisplacementField):
+            each = tuple(_scaled(one, factor) for one in moved.displacement_mm)
+            return replace(self, displacement_mm=replace(moved, displacement_mm=each))
+        return replace(self, displacement_mm=_scaled(moved, factor))
+
+
+def _scaled(moved: Triple, factor: float) -> Triple:
+    x, y, z = moved
+    return factor * x, factor * y, factor * z
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Images of a case as tissues: files in its folder, or volumes of the store."""
+"""Images of a case as tissues: files in its folder, or volumes in the store."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,7 +12,7 @@ from palpate.workers.input_files import named_by
 from palpate.workers.organs.breast.case.spec import CaseScans
 
 StoredVolume = Callable[[str], Volume | None]
-"""Returns a volume of the store by its name."""
+"""Returns a stored volume by its name."""
 USUAL = {0: "air", 1: "fat", 2: "glandular"}
 NEEDED = {Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR}
 # Skin counts as fat unless the model includes it.
@@ -34,7 +34,7 @@ class CaseImages:
     scans : CaseScans
         Settings for reading its images.
     stored : callable
-        Finds volumes of the store.
+        Finds volumes in the store.
     """
 
     def __init__(self, case: Path, scans: CaseScans, stored: StoredVolume) -> None:

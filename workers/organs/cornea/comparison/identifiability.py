@@ -1,6 +1,6 @@
 r"""Identifiability of the constants from the image of a deformed cornea.
 
-A small change of the constants displaces every point of the two surfaces along its normal by
+A small change in the constants displaces every point of the two surfaces along its normal by
 :math:`\sum_k a_k(s)\,d\ln\theta_k`. For errors of a contour with standard deviation
 :math:`\sigma` that are correlated over a length c, the information is
 
@@ -53,7 +53,7 @@ def pixel_rounding(pixel_um: float) -> ContourNoise:
 
 
 # Error of the segmentation of one frame, or of a model.
-MODEL_ERROR = ContourNoise("20 µm, alike over 0.5 mm", 20.0, 0.5)
+MODEL_ERROR = ContourNoise("20 µm, correlated over 0.5 mm", 20.0, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +106,7 @@ class Information:
 
 @dataclass(frozen=True, eq=False)
 class FittedContour:
-    """The two surfaces of a fitted cornea, and their derivatives by the constants.
+    """The two surfaces of a fitted cornea, and their derivatives in the constants.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def contour_of(
     names: tuple[str, ...],
     window_mm: tuple[float, float] | None,
 ) -> FittedContour:
-    """Return the contour of a solution with its derivatives by the constants of the law."""
+    """Return the contour of a solution with its derivatives in the constants of the law."""
     mesh = candidate.prepared.mesh
     scale = np.array([scale_of(candidate, name) for name in names])
     x = mesh.nodes_mm + result.solution.displacement_mm
@@ -207,19 +207,19 @@ def shear_modulus_bound(
 ) -> float:
     """Return the Cramer-Rao bound of the relative error of G0 = 1/2 sum mu alpha.
 
-    The bound uses the gradient of ln G0 by the logarithms of the constants.
+    The bound uses the gradient of ln G0 in the logarithms of the constants.
     """
     gradient = shear_modulus_slope(constants)
     return float(np.sqrt(gradient @ information.covariance(noise) @ gradient))
 
 
 def shear_modulus_slope(constants: CorneaConstants) -> FloatArray:
-    """Return the derivative of ln G0 by the logarithms of the constants."""
+    """Return the gradient of ln G0 in the logarithms of the constants."""
     return _gradient(constants, lambda c: np.array([np.log(c.shear_modulus_mpa)]))[0]
 
 
 def stress_slope(constants: CorneaConstants, stretch: float) -> FloatArray:
-    """Return the derivative of ln stress at a stretch by the logarithms of the constants."""
+    """Return the gradient of ln stress at a stretch in the logarithms of the constants."""
     at = np.array([stretch])
     return _gradient(constants, lambda c: np.log(uniaxial_stress_mpa(c, at)))[0]
 
@@ -281,7 +281,7 @@ def attained_stretches(candidate: Candidate, displacement_mm: FloatArray) -> tup
 def _gradient(
     constants: CorneaConstants, of: Callable[[CorneaConstants], FloatArray], step: float = 1e-5
 ) -> FloatArray:
-    """Return the derivative by the logarithms of the constants, shape (n, k)."""
+    """Return the derivatives with respect to the logarithms of the constants, shape (n, k)."""
     columns = []
     for k in range(len(constants.mu_mpa)):
         for field in ("mu_mpa", "alpha"):

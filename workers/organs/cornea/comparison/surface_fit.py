@@ -34,7 +34,7 @@ from palpate.workers.organs.organ import Residuals, logarithmic
 # Accuracy of the score of a study for a simulated section.
 SIMULATED = pixel_rounding(2.0)
 # Error of a surface segmented in a frame; see `workers.organs.cornea.frames.registration`.
-SEGMENTED = ContourNoise("10 µm, alike over 0.5 mm", 10.0, 0.5)
+SEGMENTED = ContourNoise("10 µm, correlated over 0.5 mm", 10.0, 0.5)
 # Closer to an end of an imaged surface, a displaced node may have no point next to it.
 END_MARGIN_MM = 0.3
 # Non-negative parameters at zero are differentiated over this fraction of their interval.
@@ -186,7 +186,7 @@ def _change(
 
 
 def _by_solving(ahead: Candidate, displacement_mm: FloatArray, step: float) -> FloatArray:
-    """Return the derivative by a parameter at zero by a forward difference; zero if it fails."""
+    """Return the derivative in a parameter at zero, by a forward difference; zero if it fails."""
     solution = equilibrium(ahead.prepared, ahead.constants, ahead.load).solution
     if not solution.converged:
         return np.zeros_like(displacement_mm)

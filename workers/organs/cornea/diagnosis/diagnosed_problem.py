@@ -94,9 +94,9 @@ class CorneaForward:
     ) -> FloatArray:
         """Return derivatives of the displacement, shape (c, n, 3), in mm per unit.
 
-        They refer to the candidate itself, without shares of other options. The derivative by
-        a share is a difference of solutions, in which the displacement is linear, and so is
-        that by the yielding of a held limbus, which changes the unknowns.
+        They refer to the candidate itself, without shares of other options. The displacement is
+        linear in a share, so the derivative is a difference of solutions. The derivative in the
+        compliance of a held limbus is one too, because compliance adds unknowns.
         """
         found = np.empty((len(changes), *at.solution.displacement_mm.shape))
         pairs: list[tuple[int, CandidateChange]] = []

@@ -41,7 +41,7 @@ def derived(
     Returns
     -------
     list of dict
-        ``name``; ``value`` in ``unit``; ``slope``, the derivatives of its logarithm by the
+        ``name``; ``value`` in ``unit``; ``slope``, the derivatives of its logarithm in the
         logarithms of the constants; ``mesh_shift`` and ``mesh_sd``, the relative increase due
         to the mesh and its standard deviation, None if unknown; ``against``, clauses against
         quoting it; and ``stretch`` of a stress.

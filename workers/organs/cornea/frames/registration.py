@@ -110,7 +110,7 @@ def _distances(
     outer: float,
     centre: tuple[float, float],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return normal distances of peripheral points, and their derivatives by y and tilt."""
+    """Return normal distances of peripheral points, and their derivatives in y and tilt."""
     x = moved[:, 0]
     inside = (x >= common[0]) & (x <= common[1])
     points = moved[inside & ((x < common[0] + outer) | (x > common[1] - outer))]

@@ -10,7 +10,7 @@ For one term, with :math:`\bar\lambda_a = J^{-1/3} \lambda_a`,
             + J p + J^2 p' .
 
 The second Piola-Kirchhoff stress has the principal values
-:math:`S_a = \tau_a / \lambda_a^2`, and its derivatives by the strain are
+:math:`S_a = \tau_a / \lambda_a^2`, and its derivatives with respect to the strain are
 
 .. math:: \frac{\partial S_a}{\partial E_b}
           = \frac{c_{ab} - 2 \tau_a \delta_{ab}}{\lambda_a^2 \lambda_b^2}, \quad
@@ -48,7 +48,7 @@ SERIES_BELOW = 1e-2
 
 @njit(inline="always", **CONTRACTED)
 def _pressure(J: float, bulk: float, terms: int) -> tuple[float, float, float]:
-    """Return ``h = J p`` of the volumetric energy and its first two derivatives by ln J."""
+    """Return ``h = J p`` of the volumetric energy and its first two derivatives in ln J."""
     d = J - 1.0
     power = 1.0  # (J - 1)^(2 i - 2)
     p, slope, curvature = bulk * d, bulk, 0.0
@@ -154,7 +154,7 @@ def second_piola(
     S : ndarray, shape (4,)
         S11, S22, S12, S33 in MPa.
     D : ndarray, shape (4, 4)
-        Derivative of S by E11, E22, 2 E12, E33 in MPa.
+        Derivative of S with respect to E11, E22, 2 E12 and E33, in MPa.
     """
     half = 0.5 * (c11 - c22)
     radius = np.sqrt(half * half + c12 * c12)

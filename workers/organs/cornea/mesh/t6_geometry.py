@@ -17,7 +17,7 @@ class PointGeometry(NamedTuple):
     Parameters
     ----------
     gradients : ndarray, shape (m, q, 2, 8)
-        Gradients of the six shape functions by x and y, in 1/mm; padded with zeros for SIMD.
+        Derivatives of the six shape functions in x and y, in 1/mm; padded with zeros for SIMD.
     hoop : ndarray, shape (m, q, 8)
         Shape function over radius in 1/mm; zero in a plane.
     weights : ndarray, shape (m, q)

@@ -9,7 +9,7 @@ from palpate.workers.organs.cornea.material.load import CorneaLoad
 from palpate.workers.organs.cornea.material.stiffness_gradient import stiffness_factors
 from palpate.workers.organs.cornea.solver.prepared_mesh import PreparedMesh
 
-# Smallest scale for changes of a pressure.
+# Smallest scale for changes in a pressure.
 SMALLEST_PRESSURE_SCALE_MPA = 1e-3
 
 
@@ -35,7 +35,7 @@ def parameter_names(candidate: Candidate) -> tuple[str, ...]:
 
 
 def scale_of(candidate: Candidate, name: str) -> float:
-    """Return a significant change of a parameter, in its unit; difference steps are relative to it.
+    """Return a significant change in a parameter, in its unit; difference steps are relative to it.
 
     Raises
     ------

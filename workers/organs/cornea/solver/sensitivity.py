@@ -1,4 +1,4 @@
-r"""Derivatives of a deformed cornea by parameters: one linear solve each.
+r"""Derivatives of a deformed cornea with respect to parameters: one linear solve each.
 
 At an equilibrium the out-of-balance force R(u, s; phi) vanishes, with the state s from the
 prestress iteration. Its iterates are
@@ -15,8 +15,8 @@ then the equilibrium under the jet in the same way. This is the derivative of th
 states at the same displacement, with a step of `STEP` times the parameter's scale, which need no
 solve; compared with differences of whole solutions they are accurate to 1e-6.
 
-If the edge of a uniform jet is exactly on a node, the derivative by its centre or width is
-discontinuous, and the mean of both sides is returned.
+If the edge of a uniform jet is exactly on a node, the derivative with respect to its centre or
+width is discontinuous, and the mean of both sides is returned.
 """
 
 from collections.abc import Sequence
@@ -67,7 +67,7 @@ class Sensitivity:
 
 
 def change_of(candidate: Candidate, name: str) -> Change:
-    """Return the change of a parameter by name; see `candidate.parameter_names`.
+    """Return a change in the named parameter; see `candidate.parameter_names`.
 
     Raises
     ------
@@ -76,7 +76,9 @@ def change_of(candidate: Candidate, name: str) -> Change:
     """
     step = STEP * scale_of(candidate, name)
     if name in ("iop_mpa", "jet_pressure_mpa") and getattr(candidate.load, name) == 0:
-        raise InputError(f"The derivative by {name} needs a pressure that is not zero.")
+        raise InputError(
+            f"The derivative with respect to {name} needs a pressure that is not zero."
+        )
     return Change(changed(candidate, name, step), changed(candidate, name, -step), step)
 
 
@@ -122,7 +124,7 @@ def sensitivity(
 
 
 class _Track:
-    """The derivative by one parameter, propagated through the iterates.
+    """Derivative with respect to one parameter, propagated through the iterates.
 
     Parameters
     ----------

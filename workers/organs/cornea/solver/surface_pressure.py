@@ -40,7 +40,7 @@ class SurfacePoints(NamedTuple):
     nodes : ndarray of int32, shape (k, 3)
         Start, middle and end of the edge.
     shape, slope : ndarray, shape (k, 3)
-        Shape functions and their derivative by xi.
+        Shape functions and their derivatives in xi.
     weights : ndarray, shape (k,)
         Fraction of the pressure times the weight of the point; negative if the pressure acts
         along the left normal.

@@ -93,8 +93,8 @@ def _nominal_slope(
     D: FloatArray,
     A: FloatArray,
 ) -> None:
-    """Write the slope of P11, P12, P21, P22, P33 by the components of F into A, (5, 5)."""
-    # Rows: d(E11, E22, 2 E12, E33) by each component of F.
+    """Write the derivatives of P11, P12, P21, P22, P33 in the components of F into A, (5, 5)."""
+    # Rows: derivatives of (E11, E22, 2 E12, E33) in each component of F.
     columns = ((f11, 0.0, f12), (0.0, f12, f11), (f21, 0.0, f22), (0.0, f22, f21))
     for i in range(4):
         a, b, c = columns[i]

@@ -154,14 +154,14 @@ def _checked(path: Path, kind: str, data: Indices, points: FloatArray) -> Indice
     if bad.any():
         cell = int(np.flatnonzero(bad.any(axis=1))[0])
         raise InputError(
-            f"{path}: cell {cell} of {kind} refers to the point {data[bad][0]}, counted from 0, "
-            f"but the file has {len(points)} points. Export it again."
+            f"{path}: cell {cell} of {kind} refers to point {data[bad][0]}, counted from 0, but "
+            f"the file has {len(points)} points. Export the mesh again."
         )
     lost = ~np.isfinite(points[data]).all(axis=2)
     if lost.any():
         raise InputError(
-            f"{path}: the point {data[lost][0]}, counted from 0, has coordinates that are not "
-            f"finite or farther than {FARTHEST_MM:g} mm from 0. Export it again."
+            f"{path}: point {data[lost][0]}, counted from 0, has coordinates that are not finite "
+            f"or are more than {FARTHEST_MM:g} mm from the origin. Export the mesh again."
         )
     return data
 

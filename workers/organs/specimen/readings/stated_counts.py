@@ -36,13 +36,13 @@ def check_counts(path: Path) -> None:
             # A count, or the number of a node or a group, which cannot exceed the size of the file.
             if len(digits) > 15 or abs(int(digits)) > max(size, 2**31):
                 raise InputError(
-                    f"{path} states {digits[:20].decode()} in a file of {size} bytes. It is "
-                    "damaged; export it again."
+                    f"{path} has {size} bytes, but contains the count or number "
+                    f"{digits[:20].decode()}. It is damaged; export it again."
                 )
             if abs(int(digits)) > size and match[0].lstrip()[:1] != b"$":
                 raise InputError(
-                    f"{path} states {int(digits)} points or cells in a file of {size} bytes. It is "
-                    "cut short or damaged; export it again."
+                    f"{path} states {int(digits)} points or cells, but has only {size} bytes. It "
+                    "is cut short or damaged; export it again."
                 )
 
 
@@ -55,6 +55,6 @@ def _check_stl(path: Path, content: bytes) -> None:
     (facets,) = struct.unpack_from("<I", content, 80)
     if _STL_HEADER + _STL_FACET * facets > len(content):
         raise InputError(
-            f"{path} states {facets} facets, which need {_STL_FACET * facets} bytes, and has "
+            f"{path} states {facets} facets, which need {_STL_FACET * facets} bytes, but has only "
             f"{len(content)} bytes. It is cut short; export it again."
         )

@@ -1,4 +1,4 @@
-"""Plates that are tilted or bent, or both move."""
+"""Tilted plates, bowed plates, and two moving plates."""
 
 import itertools
 from dataclasses import replace

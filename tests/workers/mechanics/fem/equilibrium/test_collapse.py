@@ -104,7 +104,7 @@ def test_collapsing_body_is_solved_with_the_barrier(found):
     assert outcome.residual_n < 1e-3 * FORCE_N
 
 
-def test_neighbour_of_a_collapsing_body_keeps_the_barrier(breast, found):
+def test_start_from_a_collapsing_body_keeps_the_barrier(breast, found):
     again = equilibrium(*breast, found)
     assert again.levels[-1].barrier is not None
     moved = again.solution.displacement_mm - found.solution.displacement_mm

@@ -47,7 +47,7 @@ def test_stiff_block_with_short_steps_is_solved_to_balance(young_kpa: float) -> 
     assert max(errors_n(found)) < LARGEST_SHARE * 1.0
 
 
-def test_neighbour_of_a_stiff_block_is_solved_to_balance() -> None:
+def test_start_from_a_stiff_block_is_solved_to_balance() -> None:
     near = pressed(1e9, 1.0)
     problem = replace(near.problem, load=ForceControl(1.2, -15.0, 15.0))
     found = equilibrium(MODEL, problem, near)

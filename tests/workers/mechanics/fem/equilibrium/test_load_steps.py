@@ -1,4 +1,4 @@
-"""The same equilibrium by other paths: in stages, and from a neighbour."""
+"""The same equilibrium by other paths: in stages, and from a nearby problem."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -75,7 +75,7 @@ def test_failed_schedule_is_followed_by_more_stages(model, monkeypatch):
 
 
 @pytest.mark.parametrize(("near", "wanted"), [(0.3, 0.35), (0.3, 0.3), (0.0, 0.3)])
-def test_neighbour_gives_the_same_solution_with_friction(model, near, wanted):
+def test_start_from_a_nearby_problem_gives_the_same_solution_with_friction(model, near, wanted):
     """Friction is kept, and its path is followed again."""
     start = equilibrium(model, pressed(near))
     continued = equilibrium(model, pressed(wanted, tilt_deg=1.0), start).solution
@@ -111,7 +111,7 @@ def test_expected_motion_is_ignored_with_friction_steps(model):
     ("near", "wanted", "route"),
     [(0.3, 0.35, 1), (0.0, 0.0, 1), pytest.param(0.3, 0.35, 2, marks=pytest.mark.slow)],
 )
-def test_stages_of_a_neighbour_are_reused(model, monkeypatch, near, wanted, route):
+def test_load_stages_of_a_nearby_problem_are_reused(model, monkeypatch, near, wanted, route):
     """If its direct schedule failed, a similar body's would hardly succeed."""
     problem = replace(pressed(wanted, tilt_deg=1.0), tolerance_mm=2e-3)
     neighbour = replace(pressed(near), tolerance_mm=2e-3)
@@ -127,7 +127,7 @@ def test_stages_of_a_neighbour_are_reused(model, monkeypatch, near, wanted, rout
     assert np.abs(apart).max() < 5e-3
 
 
-def test_neighbour_saves_newton_iterations(model):
+def test_start_from_a_nearby_problem_saves_newton_iterations(model):
     start = equilibrium(model, pressed())
     near = replace(pressed(), constants={Tissue.FAT: Constants(0.0105, 0.49, 0.03)})
     continued, rested = equilibrium(model, near, start).solution, solve(model, near)
@@ -135,7 +135,7 @@ def test_neighbour_saves_newton_iterations(model):
     assert sum(continued.outcome.newton_iterations) < sum(rested.outcome.newton_iterations)
 
 
-def test_failure_from_a_neighbour_is_final_without_restarts(model, monkeypatch):
+def test_failure_from_a_nearby_problem_is_final_without_restarts(model, monkeypatch):
     """The continuation is cut short; from rest the same body converges."""
     start = equilibrium(model, pressed())
     tilted = pressed(tilt_deg=6.0)

@@ -94,14 +94,14 @@ def test_gradient_matches_the_sum_of_squares(eye: Eye, name: str) -> None:
     assert (costs[0] - costs[1]) / (4 * h) == pytest.approx(gradient, rel=1e-3)
 
 
-def test_gradient_by_a_tilt_is_not_logarithmic(eye: Eye) -> None:
+def test_gradient_in_a_tilt_is_not_logarithmic(eye: Eye) -> None:
     h, bounds = 1e-3, {"eye_tilt_deg": (-2, 2)}
     at = [eye.equations(NEAR | {"eye_tilt_deg": 1 + s * h}, bounds) for s in (1, 0, -1)]
     per_degree = (at[0].cost - at[2].cost) / (4 * h)
     assert at[1].gradient[0] == pytest.approx(per_degree, rel=1e-3)
 
 
-def test_gradient_by_the_compliance_of_a_held_limbus(eye: Eye) -> None:
+def test_gradient_in_the_compliance_of_a_held_limbus(eye: Eye) -> None:
     """By a forward difference, as the parameter cannot be negative."""
     name = "limbus_compliance_mm_per_kpa"
     bounds = {name: (0, 0.01)}

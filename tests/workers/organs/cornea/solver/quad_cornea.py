@@ -65,7 +65,7 @@ class Quads:
 
     @staticmethod
     def _stations(eye, nx):
-        """Return fractions of the length of the surfaces, an odd number, corners and midsides."""
+        """Return an odd number of fractions of the surfaces' length: corners and midsides."""
         x = eye.anterior[:, 0]
         arc = np.concatenate(
             [[0], np.cumsum(np.linalg.norm(np.diff(eye.anterior, axis=0), axis=1))]

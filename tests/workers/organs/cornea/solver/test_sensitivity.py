@@ -59,7 +59,7 @@ def by_differences(at, step):
     [("plane stress", None), ("plane stress", 0.5), ("plane strain", None), ("axisymmetric", 0.5)],
 )
 @pytest.mark.parametrize("method", ["additive", "mulf", "inverse", "none"])
-def test_derivatives_by_every_parameter(kind, method, limbus):
+def test_derivatives_with_respect_to_every_parameter(kind, method, limbus):
     """To a relative accuracy of 1e-6."""
     candidate = candidate_of(kind, method, limbus_mpa_per_mm=limbus)
     names = [
@@ -87,8 +87,8 @@ def test_derivatives_with_a_measured_jet_profile():
 
 
 @pytest.mark.parametrize("method", ["additive", "mulf", "inverse"])
-def test_derivative_by_the_thickness(method):
-    """For any change of the mesh that keeps its triangles."""
+def test_derivative_with_respect_to_the_thickness(method):
+    """For any change to the mesh that keeps its triangles."""
     candidate = candidate_of("plane stress", method)
 
     def thicker(by_mm):

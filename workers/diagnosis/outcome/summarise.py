@@ -336,6 +336,7 @@ def _constants(diagnosis: Diagnosis) -> dict[str, ConstantEstimate]:
     ends_before = _intervals(diagnosis, nominal)
     ends_after = {} if best is None else _intervals(diagnosis, best.fit)
     converged = (nominal if best is None else best.fit).converged
+    is_in_law = best is not None and any(effect.is_in_law for effect in best.effects)
     found = {}
     for free in diagnosis.analysis.inverse.free:
         to_door = free.unit.to_door
@@ -346,6 +347,7 @@ def _constants(diagnosis: Diagnosis) -> dict[str, ConstantEstimate]:
             _at_door(free, ends_after.get(free.name)),
             (to_door(free.lower), to_door(free.upper)),
             converged,
+            True if is_in_law and free.unit == KPA else None,
         )
     return found
 

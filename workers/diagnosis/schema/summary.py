@@ -224,6 +224,9 @@ class ConstantEstimate:
         The interval stated in the case.
     converged : bool, optional
         Whether the underlying fit converged.
+    depends_on_law : bool, optional
+        Whether a named effect describes the material law, so that the constant, a slope at small
+        strain, depends on the form of that effect.
     """
 
     before: float
@@ -232,6 +235,7 @@ class ConstantEstimate:
     after_interval: tuple[float, float] | None = None
     stated: tuple[float, float] | None = None
     converged: bool | None = None
+    depends_on_law: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

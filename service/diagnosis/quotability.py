@@ -115,6 +115,8 @@ def _contradictions(summary: Summary, constant: ConstantEstimate) -> tuple[str, 
         return ("the model lacks something that is not in the catalogue",)
     if constant.after is None:
         return ("the cause of the gap is undecided",)
+    if constant.depends_on_law:
+        return ("the slope at small strain depends on the law of the stiffening tissue",)
     uncertain = summary.verdict == "cannot-be-told-apart" or is_lead(summary)
     if uncertain and change(constant) >= SAME:
         return ("it depends on a cause that is not certain",)

@@ -293,7 +293,11 @@ def _verdict(summary: Summary) -> str:
 
 
 def _cause(summary: Summary) -> str:
-    return listed([_magnitude(summary, name) for name in summary.primary])
+    """Return the named effects; if something is left, only the first is certain."""
+    first, *others = [_magnitude(summary, name) for name in summary.primary]
+    if others and summary.gap_mm.is_something_left:
+        return f"{first}, perhaps with {listed(others)}"
+    return listed([first, *others])
 
 
 def _magnitude(summary: Summary, name: str) -> str:
@@ -306,7 +310,15 @@ def _magnitude(summary: Summary, name: str) -> str:
 
 
 def _left(gap: GapSummary) -> str:
-    """Return the gap left by the effect, on held-out scans if there are any."""
+    """Return the gap left by the effect, on held-out scans if there are any, and a warning."""
+    left = _left_mm(gap)
+    if not gap.is_something_left:
+        return left
+    most = length(gap.most_of_complete_model_mm)
+    return f"{left} A complete model would leave at most {most} mm: another cause acts as well."
+
+
+def _left_mm(gap: GapSummary) -> str:
     if gap.held_out_after is not None and gap.held_out_before is not None:
         before = gap.held_out_before
         of = "" if _is_nothing(before, gap) else f" of {length(before.gap_mm)} mm"

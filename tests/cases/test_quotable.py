@@ -346,6 +346,16 @@ def test_a_fit_that_has_not_converged_withholds_the_interval_of_a_diagnosis() ->
     assert found.answer.reasons == ("the search has not converged",)
 
 
+def test_a_constant_of_a_law_that_stiffens_is_not_quotable() -> None:
+    from tests.service.report.diagnosis_at_hand import VERDICTS
+
+    own = {"before": 9.0, "after": 13.6, "after_interval": [12.3, 14.6], "depends_on_law": True}
+    told = VERDICTS["effect"] | {"constants": {"E_fat_kpa": own}}
+    found = judged_constants(from_json(Summary, told))["E_fat_kpa"]
+    reason = "the slope at small strain depends on the law of the stiffening tissue"
+    assert found.answer.reasons == (reason,)
+
+
 def test_a_diagnosis_that_fits_no_better_than_the_body_at_rest_has_no_estimate() -> None:
     summary = diagnosed()
     for fitted_mm, estimated in ((2.5, True), (4.0, False)):

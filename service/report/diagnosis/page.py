@@ -1,6 +1,7 @@
 """The page of a diagnosis, in one self-contained file."""
 
 import json
+import math
 from collections.abc import Iterator
 
 from palpate.service.diagnosis.advice import undecided, worth
@@ -42,6 +43,7 @@ from palpate.service.report.study.provenance import diagnosis_provenance
 from palpate.service.versions import palpate_version, versions
 from palpate.storage.plain import to_plain
 from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.organs.registry import DEFAULT, catalogue_of
 
 # Number of causes in the chart in addition to the 90 % set.
@@ -261,7 +263,13 @@ def _evidence_picture(summary: Summary) -> Picture | None:
 
 
 def _about_evidence(summary: Summary) -> str:
-    alone = "Each refit fits the constants and the effect together with new simulations."
+    times = 1.0 / math.sqrt(SETTINGS.noise.coarsening)
+    noise_mm = times * summary.gap_mm.noise_floor
+    alone = (
+        "Each refit fits the constants and the effect together with new simulations. No model is "
+        f"exact, so causes are weighed as if the noise were {times:.1f} times as large "
+        f"({length(noise_mm)} mm at a point)."
+    )
     share = summary.explained_share
     if share is None or not summary.primary:
         return alone

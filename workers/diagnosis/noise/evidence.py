@@ -1,4 +1,13 @@
-"""Evidence of hypotheses, averaged over uncertain noise.
+r"""Evidence of hypotheses, averaged over uncertain noise and coarsened.
+
+No model of a body is exact: another solver, mesh or contact model differs from it by more than the
+noise of an image. So hypotheses are weighed by how *near* they come to the data (the coarsened
+posterior of J. W. Miller and D. B. Dunson, JASA 114 (2019) 1113): the likelihood of the
+segmentation's noise is raised to a power zeta,
+
+.. math:: p(h | d) \propto p(h) \int p(d | \theta, h)^\zeta \, p(\theta | h) \, d\theta,
+
+as if that noise were 1 / sqrt(zeta) times as large.
 
 The stated covariance factors interface by interface. One Cholesky factor for each correlation
 length whitens everything; scales, the numerical error and a smooth field only add systems of the
@@ -110,6 +119,8 @@ class NoiseModel:
         A smooth field of unit amplitude for each of its lengths.
     amplitudes_mm : sequence of float
         Amplitudes of the field; all pairs of length and amplitude are equally probable.
+    coarsening : float
+        The power zeta of the likelihood; 1 for an exact model.
     """
 
     def __init__(
@@ -118,7 +129,9 @@ class NoiseModel:
         states: Sequence[NoiseState],
         fields: Sequence[FloatArray] = (),
         amplitudes_mm: Sequence[float] = SETTINGS.smooth_field.amplitudes_mm,
+        coarsening: float = 1.0,
     ) -> None:
+        self._power = coarsening
         self.parts, self.states, self.amplitudes_mm = parts, tuple(states), tuple(amplitudes_mm)
         self.size = parts.size
         self._masks = [parts.groups == g for g in range(int(parts.groups.max()) + 1)]
@@ -169,7 +182,7 @@ class NoiseModel:
         found = []
         for state in self.states if states is None else states:
             _, own, cross = products.under(state.length)
-            weights = 1.0 / state.scales**2
+            weights = self._weights(state)
             X = self._scale(state)[:, None] * weighted_sum(weights, cross)
             factor = self._system(state)
             found.append(self._quadratic(state, weighted_sum(weights, own), factor, X))
@@ -186,7 +199,7 @@ class NoiseModel:
         found = []
         for state in self.likeliest:
             white, own, cross = products.under(state.length)
-            weights = 1.0 / state.scales**2
+            weights = self._weights(state)
             inner = weighted_sum(weights, own)
             X = self._scale(state)[:, None] * weighted_sum(weights, cross)
             for f, field in enumerate(self._fields[state.length]):
@@ -257,15 +270,16 @@ class NoiseModel:
 
     def _log_determinant(self, state: NoiseState, factor: FloatArray) -> float:
         stated = float(np.log(np.diag(self._factors[state.length])).sum())
-        return 2.0 * (
-            stated
-            + float(self._counts @ np.log(state.scales))
-            + float(np.log(np.diag(factor)).sum())
-        )
+        segmentation = stated + float(self._counts @ np.log(state.scales))
+        return 2.0 * (self._power * segmentation + float(np.log(np.diag(factor)).sum()))
 
     def white(self, length: int, columns: FloatArray) -> _Whitened:
         """Return columns in the space where noise of one correlation length is white."""
         return _Whitened(self._factors[length], self._masks, columns)
+
+    def _weights(self, state: NoiseState) -> FloatArray:
+        """Return the coarsened precision of each group over the stated one, shape (groups,)."""
+        return np.asarray(self._power / state.scales**2)
 
     def _scale(self, state: NoiseState) -> FloatArray:
         fixed, numerical = self.parts.fixed.shape[1], self.parts.numerical.shape[1]
@@ -275,7 +289,7 @@ class NoiseModel:
         found = self._systems.get(id(state))
         if found is None:
             d = self._scale(state)
-            gram = weighted_sum(1.0 / state.scales**2, self._own[state.length])
+            gram = weighted_sum(self._weights(state), self._own[state.length])
             found = cholesky(np.eye(len(d)) + d[:, None] * gram * d, lower=True)
             self._systems[id(state)] = found
         return found
@@ -284,7 +298,7 @@ class NoiseModel:
         key = (id(state), f, amplitude)
         found = self._field_systems.get(key)
         if found is None:
-            weights, d = 1.0 / state.scales**2, self._scale(state)
+            weights, d = self._weights(state), self._scale(state)
             field, nuisances = self._fields[state.length][f], self.nuisances[state.length]
             top = self._system(state)
             cross = d[:, None] * weighted_sum(weights, nuisances.gram(field)) * amplitude

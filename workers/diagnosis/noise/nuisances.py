@@ -3,7 +3,8 @@ r"""Nuisances that change residuals without a gap, as columns with a normal prio
 Every hypothesis includes them, even "no gap": changes that they can absorb are no evidence.
 
 - **Pose**: each scan may be offset from the position in its header by the error of registration:
-  six rigid columns for each scan.
+  six rigid columns for each scan. The scan at rest errs as much; as the points are taken from it,
+  its error is common to all loaded scans.
 - **Drawing**: an interface may be drawn too large or too small as a whole, in one scan or in all.
 - **Numerical error**: another mesh, element or contact model moves the interfaces smoothly, by an
   amount that grows with their displacement and in a pattern that depends on the load direction.
@@ -26,7 +27,9 @@ def pose_columns(
     shift_sd_mm: float,
     turn_sd_deg: float,
 ) -> FloatArray:
-    """Return the derivatives of all residuals by a motion of each scan, shape (s k, 6 s).
+    """Return the derivatives of all residuals by uncorrelated poses, shape (s k, 6 s).
+
+    `correlated` turns these poses into those of the scans.
 
     Parameters
     ----------
@@ -39,7 +42,21 @@ def pose_columns(
     """
     sd = np.repeat([shift_sd_mm, turn_sd_deg], 3)
     each = [rigid_columns(p, n, centre_mm) * sd for p, n in zip(points, normals, strict=True)]
-    return _block_diagonal(each)
+    poses = _block_diagonal(each).reshape(len(each[0]) * len(each), len(each), 6)
+    return np.einsum("mtc,ts->msc", poses, _pose_factor(len(each))).reshape(len(poses), -1)
+
+
+def correlated(poses: FloatArray) -> FloatArray:
+    """Return the poses of s scans relative to the scan at rest, from uncorrelated ones, (s, 6).
+
+    Both are in prior standard deviations of the pose of one scan.
+    """
+    return np.asarray(_pose_factor(len(poses)) @ poses)
+
+
+def _pose_factor(scans: int) -> FloatArray:
+    """Return the Cholesky factor of the poses' covariance: own errors plus a common one."""
+    return np.asarray(np.linalg.cholesky(np.eye(scans) + 1.0))
 
 
 def drawing_columns(

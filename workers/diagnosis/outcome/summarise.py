@@ -36,6 +36,7 @@ from palpate.workers.diagnosis.verdict.verdict import NO_GAP
 from palpate.workers.mechanics.effects.base import Effect, one_sided
 from palpate.workers.mechanics.parameters import Parameter
 from palpate.workers.mechanics.readings import shown
+from palpate.workers.units import KPA
 
 # Standard deviations of a normal distribution on either side of the mean that hold 90 %.
 DEVIATIONS_90 = 1.6449
@@ -335,6 +336,7 @@ def _constants(diagnosis: Diagnosis) -> dict[str, ConstantEstimate]:
     ends_before = _intervals(diagnosis, nominal)
     ends_after = {} if best is None else _intervals(diagnosis, best.fit)
     converged = (nominal if best is None else best.fit).converged
+    is_in_law = best is not None and any(effect.is_in_law for effect in best.effects)
     found = {}
     for free in diagnosis.analysis.inverse.free:
         to_door = free.unit.to_door
@@ -345,6 +347,7 @@ def _constants(diagnosis: Diagnosis) -> dict[str, ConstantEstimate]:
             _at_door(free, ends_after.get(free.name)),
             (to_door(free.lower), to_door(free.upper)),
             converged,
+            True if is_in_law and free.unit == KPA else None,
         )
     return found
 
@@ -357,14 +360,16 @@ def _intervals(diagnosis: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]
     """Return the 90 % intervals of the constants of a fit, in internal units.
 
     They cover both the optimum of the fit and the mean of the posterior, which averages over
-    uncertain noise and poses.
+    uncertain noise and poses. For scans they include the difference between solvers.
     """
     analysis = diagnosis.analysis
+    solver_sd = SETTINGS.mesh.stiffness_sd if analysis.inverse.is_segmented else 0.0
     posterior = parameter_posterior(analysis.noise, analysis.hypothesis(fit), fit.unknowns)
     found = {}
     for i, free in enumerate(fit.unknowns.free):
         middle, here = float(posterior.mean[i]), float(fit.z[i])
-        reach = DEVIATIONS_90 * float(posterior.sd[i])
+        between = solver_sd if free.unit == KPA else 0.0
+        reach = DEVIATIONS_90 * float(np.hypot(posterior.sd[i], between))
         low, high = min(middle, here) - reach, max(middle, here) + reach
         found[free.name] = (float(np.exp(low)), float(np.exp(high)))
     return found

@@ -1,5 +1,7 @@
 r"""Poses of the scans: unknown rigid motions, estimated for any values of the constants.
 
+A pose is relative to the scan at rest, whose own error is common to all.
+
 With residuals r of a model compared with scans at poses p, their derivatives -N by the poses, and
 other noise of covariance S, the poses minimise
 
@@ -17,7 +19,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from palpate.storage.values import FloatArray
-from palpate.workers.diagnosis.noise.nuisances import pose_columns
+from palpate.workers.diagnosis.noise.nuisances import correlated, pose_columns
 from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, Unknowns
 from palpate.workers.diagnosis.problem.scan_prediction import (
     ComparedScan,
@@ -93,7 +95,7 @@ def registered(
     for _ in range(SETTINGS.pose.registrations):
         noise = PosedNoise(inverse, found)
         best = noise.poses(noise.whiten(residuals(inverse, found)))
-        step = best.reshape(poses.shape) - poses
+        step = correlated(best.reshape(poses.shape)) - poses
         longest = float(np.abs(step).max())
         if longest > SETTINGS.pose.shorter * before:
             length /= 2

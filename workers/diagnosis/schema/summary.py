@@ -13,6 +13,7 @@ from palpate.workers.diagnosis.schema.experiment_summary import (
     MarkerState,
     PredictedState,
 )
+from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.diagnosis.verdict.verdict import Kind
 from palpate.workers.mechanics.readings import ShownMagnitude
 
@@ -104,6 +105,19 @@ class GapSummary:
         if self.fitted_mm is None or self.undeformed_mm is None:
             return False
         return self.fitted_mm >= self.undeformed_mm
+
+    @property
+    def most_of_complete_model_mm(self) -> float:
+        """The largest gap that a model without a missing effect leaves, in 95 % of cases."""
+        return SETTINGS.gap.floor_range[1] * self.calibration_floor
+
+    @property
+    def is_something_left(self) -> bool:
+        """Whether the named effects clearly leave more than a complete model would."""
+        left = self.after
+        if left is None or left.low_mm < self.calibration_floor:
+            return False
+        return left.gap_mm > self.most_of_complete_model_mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +224,9 @@ class ConstantEstimate:
         The interval stated in the case.
     converged : bool, optional
         Whether the underlying fit converged.
+    depends_on_law : bool, optional
+        Whether a named effect describes the material law, so that the constant, a slope at small
+        strain, depends on the form of that effect.
     """
 
     before: float
@@ -218,6 +235,7 @@ class ConstantEstimate:
     after_interval: tuple[float, float] | None = None
     stated: tuple[float, float] | None = None
     converged: bool | None = None
+    depends_on_law: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)

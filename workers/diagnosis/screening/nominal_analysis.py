@@ -83,7 +83,8 @@ class NominalAnalysis:
         learnt, prior = self.inverse.learnt, self.inverse.something_else
         if learnt is None:
             raise ValueError("the noise is learnt with the calibration")
-        return NoiseModel(learnt.parts, learnt.states, self.fields, prior.amplitudes_mm)
+        zeta = SETTINGS.noise.coarsening
+        return NoiseModel(learnt.parts, learnt.states, self.fields, prior.amplitudes_mm, zeta)
 
     def hypothesis(self, at: Fit) -> LinearHypothesis:
         """Return a fit as input for `noise`, corrected for the roughness of the drawn surface.

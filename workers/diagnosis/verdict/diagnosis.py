@@ -8,7 +8,8 @@
                        second reading of the noise, if the best fit is far from the nominal one
 
 Every effect that the verdict names is fitted, and all hypotheses are weighed again: screening can
-miss a motion shared by all scans, which the poses absorb one by one. An effect that the constants
+miss a motion shared by all scans, which the poses absorb one by one. Before the verdict is "none of
+these", every visible effect is fitted. An effect that the constants
 hide but that the data still support is fitted too, alone and together with the best visible
 effect; otherwise it could be mistaken for the cause of what another effect leaves unexplained.
 
@@ -101,12 +102,32 @@ def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
     joint_fits |= yield from _fitted(pairs(analysis, known, list(joint_fits.values())))
     joint_fits |= yield from _fitted(triples(analysis, known, list(joint_fits.values())))
     reached, hypotheses = _weighed_up(analysis, known, joint_fits)
+    if reached.kind == "none-of-these":
+        joint_fits |= yield from _of_all(analysis, known, joint_fits)
+        reached, hypotheses = _weighed_up(analysis, known, joint_fits)
     tried: set[tuple[str, ...]] = set()
     while missing := [names for names in unfitted(reached, joint_fits) if names not in tried]:
         tried |= set(missing)
         joint_fits |= yield from _fitted([tuple(known[n] for n in names) for names in missing])
         reached, hypotheses = _weighed_up(analysis, known, joint_fits)
     return Diagnosis(analysis, reached, joint_fits, hypotheses)
+
+
+def _of_all(
+    analysis: NominalAnalysis, known: dict[str, Effect], joint_fits: dict[tuple[str, ...], JointFit]
+) -> Generator[Wanted, Answer, dict[tuple[str, ...], JointFit]]:
+    """Request fits of all other visible effects, and of new combinations with them.
+
+    A strong effect may change the constants so much that the linear model does not show it.
+    """
+    visible = [one.name for one in analysis.screening if not one.hides]
+    found = yield from _fitted([(known[n],) for n in visible if (n,) not in joint_fits])
+    for combined in (pairs, triples):
+        fits = joint_fits | found
+        tried = {frozenset(names) for names in fits}
+        wanted = combined(analysis, known, list(fits.values()))
+        found |= yield from _fitted([w for w in wanted if {e.name for e in w} not in tried])
+    return found
 
 
 def _weighed_up(

@@ -1,17 +1,37 @@
 """Positions of local effects are reported in the coordinates of the scans."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from palpate.workers.diagnosis.outcome import summarise
 from palpate.workers.diagnosis.outcome.parameter_posterior import ParameterPosterior
+from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant
 from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.mechanics.effects.boundary import LOCAL_ATTACHMENT
 from palpate.workers.mechanics.effects.local_stiffness import INCLUSION
+from palpate.workers.units import NUMBER
 
 CENTRE_MM = (100.0, -20.0, 22.5)
+
+
+@pytest.mark.parametrize(("segmented", "between"), [(True, 0.06), (False, 0.0)])
+def test_intervals_of_stiffness_include_the_difference_between_solvers(
+    segmented: bool, between: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    posterior = ParameterPosterior(np.log([0.011, 2.0]), np.array([0.02, 0.03]))
+    monkeypatch.setattr(summarise, "parameter_posterior", lambda *_: posterior)
+    free = (FreeConstant("E", 0.001, 0.1), FreeConstant("b", 0.1, 10.0, NUMBER))
+    fit: Any = SimpleNamespace(unknowns=SimpleNamespace(free=free), z=np.log([0.010, 2.1]))
+    inverse = SimpleNamespace(is_segmented=segmented)
+    analysis = SimpleNamespace(noise=None, hypothesis=lambda fit: None, inverse=inverse)
+    diagnosis: Any = SimpleNamespace(analysis=analysis)
+    found = summarise._intervals(diagnosis, fit)
+    reach = np.exp(1.6449 * np.hypot(0.02, between))
+    assert found["E"] == pytest.approx((0.010 / reach, 0.011 * reach))
+    assert found["b"] == pytest.approx((2.0 / np.exp(1.6449 * 0.03), 2.1 * np.exp(1.6449 * 0.03)))
 
 
 @pytest.mark.parametrize(

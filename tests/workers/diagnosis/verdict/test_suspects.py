@@ -80,8 +80,9 @@ def test_every_named_effect_is_fitted(monkeypatch, simulated: bool) -> None:
 
     def weighed_up(analysis, known, joint_fits):
         fitted_at_weighing.append(set(joint_fits))
+        hypotheses = {(("rigid_motion",), False): 0.9}
         return SimpleNamespace(
-            primary=("rigid_motion",), hidden=(), hypotheses={(("rigid_motion",), False): 0.9}
+            kind="effect", primary=("rigid_motion",), hidden=(), hypotheses=hypotheses
         ), ()
 
     analysis: Any = SimpleNamespace(screening=[], sensitivities=[])
@@ -94,6 +95,26 @@ def test_every_named_effect_is_fitted(monkeypatch, simulated: bool) -> None:
     assert isinstance(reached, Diagnosis)
     assert fitted_at_weighing == [set(), {("rigid_motion",)} if simulated else set()]
     assert set(reached.joint_fits) == fitted_at_weighing[1]
+
+
+def test_every_visible_effect_is_fitted_before_none_of_these(monkeypatch) -> None:
+    known = [effect("plate_tilt"), effect("skin_added")]
+    weak = screened("skin_added", 0.0, 1.0)
+
+    def weighed_up(analysis, known, joint_fits):
+        weighed = dict.fromkeys(((names, False) for names in joint_fits), 0.5)
+        kind = "effect" if ("skin_added",) in joint_fits else "none-of-these"
+        return SimpleNamespace(kind=kind, primary=(), hidden=(), hypotheses=weighed), ()
+
+    analysis: Any = SimpleNamespace(screening=[weak], sensitivities=[])
+    for name in ("suspects", "pairs", "triples"):
+        monkeypatch.setattr(f"palpate.workers.diagnosis.verdict.diagnosis.{name}", lambda *_: [])
+    monkeypatch.setattr("palpate.workers.diagnosis.verdict.diagnosis._weighed_up", weighed_up)
+    course = diagnose(analysis, known)
+    assert advance(course) == [(known[1],)]
+    answer: Any = [SimpleNamespace(names=("skin_added",))]
+    reached = advance(course, answer)
+    assert isinstance(reached, Diagnosis) and reached.verdict.kind == "effect"
 
 
 def test_supported_hidden_effects_are_fitted():

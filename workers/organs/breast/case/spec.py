@@ -273,8 +273,8 @@ class CaseScans(Door):
     reference_repeat
         A second segmentation of the body at rest, from which the noise is measured.
     pose_sd_mm
-        Standard deviation of the position of a loaded scan from its header, along each axis, in
-        mm. Default: 0.3.
+        Standard deviation of the position of each scan, the one at rest included, from its header,
+        along each axis, in mm. Default: 0.3.
     pose_sd_deg
         Standard deviation of its rotation about each axis, in degrees. Default: 0.3.
     align

@@ -189,7 +189,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
     ),
     "a search that redraws candidates": (
         lambda: check_search(_strategy(Drawn)),
-        "proposes something else",
+        "proposes different candidates",
     ),
     "a search that leaves its bounds": (
         lambda: check_search(_strategy(Outside)),

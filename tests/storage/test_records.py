@@ -90,13 +90,13 @@ def test_study_round_trips():
         (DONE, {"reason": "because"}, "with the reason 'because'"),
         (DONE, {"traceback": "x"}, "with a traceback"),
         (DONE, {"attempts": 0}, "after 0 attempts"),
-        (DONE, {"candidate": -1}, "no count"),
-        (DONE, {"generation": 1.5}, "no count"),
+        (DONE, {"candidate": -1}, "is not a count"),
+        (DONE, {"generation": 1.5}, "is not a count"),
         (DONE, {"genes": {"E": math.inf}}, "not finite"),
         (DIVERGED, {"score": SCORE}, "is diverged with a score"),
         (DIVERGED, {"reason": ""}, "with the reason ''"),
         (CRASHED, {"traceback": ""}, "without a traceback"),
-        (LOST, {"status": "running"}, "no ending"),
+        (LOST, {"status": "running"}, "is not an ending"),
     ],
 )
 def test_refuses_contradictions(base, wrong, message):

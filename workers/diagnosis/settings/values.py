@@ -181,8 +181,8 @@ class JointFitSettings:
     least_gain: float = 1.0
     # [by hand] Pairs are fitted if a smooth field gains this much on top of the best effect.
     left_over: float = 1.0
-    # [principle] A pair is also fitted if the second effect gains this much by screening: twenty to
-    # one. The same rule applies to a third effect with the best pair.
+    # [principle] A pair is also fitted if the second effect gains this much coarsened evidence by
+    # screening: twenty to one. The same rule applies to a third effect with the best pair.
     second_gain: float = 3.0
     # [cost] Number of third effects that are fitted.
     thirds: int = 2

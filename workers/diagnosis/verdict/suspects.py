@@ -103,11 +103,8 @@ def _extended(analysis: NominalAnalysis, known: Catalogue, fitted: JointFit) -> 
     """
     others = [one for one in analysis.sensitivities if one.name not in fitted.names]
     at = fitted.fit.linearised(analysis.inverse).holding(fitted.fit.at_bound != 0)
-    loud = [
-        one
-        for one in screen(at, others)
-        if not one.hides and one.log_bayes_factor > SETTINGS.joint_fits.second_gain
-    ]
+    least = SETTINGS.joint_fits.second_gain / SETTINGS.noise.coarsening
+    loud = [one for one in screen(at, others) if not one.hides and one.log_bayes_factor > least]
     return [
         _Extended((*fitted.effects, known[one.name]), fitted.log_evidence + one.log_bayes_factor)
         for one in loud[: SETTINGS.joint_fits.partners]

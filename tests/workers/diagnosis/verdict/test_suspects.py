@@ -159,7 +159,7 @@ def fitted(name: str, log_evidence: float) -> Any:
             False,
             [("plate_tilt", "growth")],
         ),
-        # Another one leaves more: its pairs come first, each once. Coarsened, 9 nats are too few.
+        # Another one leaves more: its pairs come first, each once. 9 nats are too few.
         (
             {
                 "plate_tilt": {"growth": 20.0, "skin_added": 14.0, "creep": 9.0},

@@ -185,7 +185,10 @@ def test_rejects_a_diverged_body(store: str, tmp_path: Path) -> None:
         (["export", "s.yaml", "b.obj"], "b.obj: .obj is not known, use one of .feb"),
         (["export", "s.yaml", "no/b.vtu"], "does not exist; create it"),
         (["export", "s.yaml", "b.inp", "--candidate", "best"], "needs the folder of a study"),
-        (["export", "s.yaml", "b.inp", "--candidate", "1", "--set", "nu=0.4"], "cannot be combined"),
+        (
+            ["export", "s.yaml", "b.inp", "--candidate", "1", "--set", "nu=0.4"],
+            "cannot be combined",
+        ),
         (["export", "nix.yaml", "b.inp"], "nix.yaml"),
     ],
 )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
 from palpate.workers.diagnosis.screening.screening import screen
 from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.verdict.hypotheses import MOST_EFFECTS
 from palpate.workers.diagnosis.verdict.joint_fit import JointFit
 from palpate.workers.mechanics.effects.base import Effect
 
@@ -66,9 +67,12 @@ def pairs(
 def triples(
     analysis: NominalAnalysis, known: Catalogue, fits: Sequence[JointFit]
 ) -> list[Combination]:
-    """Return the best two effects with each effect that their residuals support."""
-    best = ranked(fits)[:1]
-    if not best or len(best[0].effects) < 2:
+    """Return the best two effects with each effect that their residuals support.
+
+    There are none if a single effect is better than all pairs.
+    """
+    best = ranked(one for one in fits if len(one.effects) < MOST_EFFECTS)[:1]
+    if not best or len(best[0].effects) < MOST_EFFECTS - 1:
         return []
     extended = _extended(analysis, known, best[0])
     return [one.effects for one in extended[: SETTINGS.joint_fits.thirds]]

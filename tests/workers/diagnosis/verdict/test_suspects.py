@@ -10,7 +10,7 @@ from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivi
 from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
 from palpate.workers.diagnosis.screening.screening import ScreeningResult
 from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis, advance, diagnose, unfitted
-from palpate.workers.diagnosis.verdict.suspects import pairs, suspects
+from palpate.workers.diagnosis.verdict.suspects import pairs, suspects, triples
 from palpate.workers.organs.breast.effects import CATALOGUE
 
 effect = CATALOGUE.named
@@ -115,6 +115,32 @@ def test_every_visible_effect_is_fitted_before_none_of_these(monkeypatch) -> Non
     answer: Any = [SimpleNamespace(names=("skin_added",))]
     reached = advance(course, answer)
     assert isinstance(reached, Diagnosis) and reached.verdict.kind == "effect"
+
+
+def test_three_effects_extend_the_best_two(monkeypatch) -> None:
+    """Not the best three, which have as many effects as a hypothesis may."""
+
+    def joint_fit(names: str, log_evidence: float) -> Any:
+        found = fitted("plate_tilt", log_evidence)
+        found.names = tuple(names.split())
+        found.effects = tuple(effect(name) for name in found.names)
+        found.fit.linearised = lambda inverse: Left(found.names)
+        return found
+
+    fits = [
+        joint_fit("plate_tilt", 50.0),
+        joint_fit("plate_tilt growth", 80.0),
+        joint_fit("plate_tilt growth creep", 120.0),
+    ]
+    monkeypatch.setattr(
+        "palpate.workers.diagnosis.verdict.suspects.screen",
+        lambda *_: [screened("skin_added", 30.0)],
+    )
+    analysis: Any = SimpleNamespace(sensitivities=[], inverse=None)
+    known = {name: effect(name) for name in ("plate_tilt", "growth", "creep", "skin_added")}
+    (found,) = triples(analysis, known, fits)
+    assert [one.name for one in found] == ["plate_tilt", "growth", "skin_added"]
+    assert triples(analysis, known, [joint_fit("growth", 90.0), *fits]) == []
 
 
 def test_supported_hidden_effects_are_fitted():

@@ -7,7 +7,7 @@ import yaml
 HEAD = """# Why to trust it: validation
 
 What was tested, against which independent truth, with which result, and the command that repeats
-it. Nothing here comes from the data on which a method was tuned, except where a note says so.
+it. Data on which a method was tuned are marked.
 """
 
 

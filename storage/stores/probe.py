@@ -59,7 +59,7 @@ def probe_store(location: Location) -> StoreProbe:
 
 
 def _one_wins(store: Store, place: Place) -> bool:
-    """Return True if exactly one of several attempts creates a name, and no later one.
+    """Return True if one of several attempts creates a name, and all others fail.
 
     The attempts run at the same time, because a server may check first and write later.
     """

@@ -73,7 +73,7 @@ def test_valid_by_the_schema_of_the_compose_specification(tmp_path: Path) -> Non
     assert "'depend_on' was unexpected" in bad.stdout
 
 
-def test_valid_by_docker_compose_itself(tmp_path: Path) -> None:
+def test_docker_compose_accepts_the_file(tmp_path: Path) -> None:
     docker = shutil.which("docker")
     version = [docker or "docker", "compose", "version"]
     if docker is None or subprocess.run(version, capture_output=True, check=False).returncode:

@@ -212,7 +212,7 @@ def _classes(kind: str, rng: np.random.Generator) -> tuple[type[Cause], ...]:
 
 
 def _different(count: int, rng: np.random.Generator) -> tuple[type[Cause], ...]:
-    """Draw causes of the catalogue whose effects all differ."""
+    """Draw causes from the catalogue whose effects all differ."""
     while True:
         causes = tuple(SINGLES[n] for n in rng.choice(len(SINGLES), count, replace=False))
         if len({cause.effect for cause in causes}) == count:

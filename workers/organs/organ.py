@@ -298,7 +298,7 @@ class StoredOrgan(Protocol):
 
 @runtime_checkable
 class CheckingOrgan(Protocol):
-    """An organ that refuses some bodies after they were meshed."""
+    """An organ that checks a body after meshing."""
 
     def check(self, case: Any, body: Any, mesh_facts: Mapping[str, Any]) -> None:
         """Check that the body of a case can be modelled as stated.

@@ -193,11 +193,11 @@ class DiagnosisStore:
 
     @property
     def effects(self) -> list[Effect]:
-        """The suspected effects of the catalogue."""
+        """The suspected effects from the catalogue."""
         return [e for e in self.source.effects if e.name in self.request.effects]
 
     def combination(self, names: Sequence[str]) -> list[Effect]:
-        """Return some effects of the catalogue by their names."""
+        """Return some effects from the catalogue by their names."""
         known = {e.name: e for e in self.effects}
         return [known[name] for name in names]
 

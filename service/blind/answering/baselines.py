@@ -5,7 +5,7 @@
    constants could hide are not projected out.
 2. One refit at a time: the single effect that leaves the smallest distance between model and
    image when fitted together with the constants, regardless of its number of parameters.
-3. Chance: any effect of the catalogue.
+3. Chance: any effect from the catalogue.
 
 The first two always name an effect. For a fair comparison they are also scored with a
 threshold below which they stay silent, chosen to raise as many false alarms as the diagnosis on

@@ -68,7 +68,7 @@ class Truth(_Record):
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Return the acting effects of the catalogue."""
+        """Return the acting effects from the catalogue."""
         return tuple(c.effect for c in self.causes if c.effect is not None)
 
     @property

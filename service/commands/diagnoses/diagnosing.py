@@ -122,7 +122,7 @@ def _with_plan(
         asked = request_plan(source, request.store, nodes, anyway=True)
         plan = planned(asked, workers, scheduler)
     except PalpateError as error:
-        typer.echo(f"Further measurements could not be tried. {error}", err=True)
+        typer.echo(f"Further measurements could not be evaluated. {error}", err=True)
         return diagnosis
     options = next_acquisitions(diagnosis.summary, plan)
     return replace(diagnosis, summary=replace(diagnosis.summary, next_acquisitions=options))

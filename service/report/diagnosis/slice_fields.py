@@ -54,7 +54,7 @@ def slice_fields(
 
 
 def _gap(found: Arrays, scan: int, model: str, moved: FloatArray, lattice: Volume) -> Volume:
-    """Return the size of the residual near each interface, as zero within the noise."""
+    """Return the size of the residual near each interface, set to zero within the noise."""
     local, sd = (found[f"local_{model}{end}"][scan] for end in ("", "_sd"))
     loud = np.where(np.abs(local) >= SIGNIFICANT * sd, np.abs(local), 0.0)
     values = np.full(lattice.values.shape, np.nan, np.float32)

@@ -24,7 +24,7 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True)
 class ConstantRow:
-    """A constant without and with the effect, with its 90 % interval."""
+    """Estimates of a constant without and with the effect, and their 90 % intervals."""
 
     symbol: Markup
     before: str

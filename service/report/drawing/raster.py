@@ -31,7 +31,7 @@ def png_uri(labels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> str:
 
 
 def image_uri(pixels: NDArray[np.uint8]) -> str:
-    """Return an image of any colours as a data URI (colour type 6).
+    """Return an RGBA image as a data URI (colour type 6).
 
     Parameters
     ----------

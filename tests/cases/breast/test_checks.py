@@ -354,7 +354,7 @@ def test_a_body_pressed_along_another_axis_is_refused(
     rest, scan = (with_axes(one, order) for one in usual_pair())
     text = texts(findings(rest, scan))
     assert f"it was pressed along {pressed_along}" in text
-    assert "look exchanged" not in text
+    assert "look swapped" not in text
 
 
 def test_a_scan_under_load_that_shows_the_body_at_rest_is_refused() -> None:

@@ -147,7 +147,7 @@ def test_refuses_a_thickness_that_was_not_corrected_for_refraction(tmp_path: Pat
 
 
 def test_refuses_exchanged_frames(tmp_path: Path) -> None:
-    assert "look exchanged" in only(findings(tmp_path, DENTED, REST))
+    assert "look swapped" in only(findings(tmp_path, DENTED, REST))
 
 
 def test_refuses_two_frames_without_a_jet(tmp_path: Path) -> None:

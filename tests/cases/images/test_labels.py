@@ -144,7 +144,7 @@ class TestNamesInFiles:
 class TestStatedLabels:
     def test_numbers_must_agree_with_names(self, tmp_path: Path) -> None:
         numbers = {0: "air", 1: "fat", 2: "glandular", 3: "skin", 4: "ligament"}
-        with pytest.raises(InputError, match=r"Label 1 is stated as fat, but .* names it 'Skin'"):
+        with pytest.raises(InputError, match=r"Label 1 is given as fat, but .* names it 'Skin'"):
             read_tissues(slicer(tmp_path), numbers)
         right = {0: "air", 1: "skin", 2: "fat", 3: "glandular", 4: "ligament"}
         read = read_tissues(slicer(tmp_path), right)

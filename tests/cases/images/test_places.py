@@ -115,11 +115,20 @@ class TestNifti:
     @pytest.mark.parametrize(
         ("sform", "said"),
         [
-            (affine(1.0, 1.0, 1.0), r"1 x 1 x 1 mm by its sform, 2 x 2 x 2 mm by its qform"),
-            (affine(2.4, 2.2, 2.6), r"2\.4 x 2\.2 x 2\.6 mm by its sform"),
-            (affine(2.0, 2.0, 2.01), r"2 x 2 x 2\.01 mm by its sform"),
-            (affine(-2.0, 2.0, 2.0), "L A S by its sform, to R A S by its qform"),
-            (affine(-2.0, -2.0, 2.0), "L P S by its sform, to R A S by its qform"),
+            (
+                affine(1.0, 1.0, 1.0),
+                r"1 x 1 x 1 mm according to its sform, 2 x 2 x 2 mm according to its qform",
+            ),
+            (affine(2.4, 2.2, 2.6), r"2\.4 x 2\.2 x 2\.6 mm according to its sform"),
+            (affine(2.0, 2.0, 2.01), r"2 x 2 x 2\.01 mm according to its sform"),
+            (
+                affine(-2.0, 2.0, 2.0),
+                "L A S according to its sform, to R A S according to its qform",
+            ),
+            (
+                affine(-2.0, -2.0, 2.0),
+                "L P S according to its sform, to R A S according to its qform",
+            ),
         ],
     )
     @pytest.mark.parametrize("code", [1, 4])
@@ -134,7 +143,9 @@ class TestNifti:
         path = write_nifti(
             tmp_path / "a.nii", breast(), sform=affine(1.0, 1.0, 1.0), qform=PLACED, codes=(1, 0)
         )
-        with pytest.raises(InputError, match=r"by its sform, 2 x 2 x 2 mm by its pixdim"):
+        with pytest.raises(
+            InputError, match=r"according to its sform, 2 x 2 x 2 mm according to its pixdim"
+        ):
             read_volume(path)
 
     def test_forms_of_one_space_place_voxels_alike(self, tmp_path: Path) -> None:

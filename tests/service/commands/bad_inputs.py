@@ -207,7 +207,7 @@ FILES = {
     ),
     "a label without a name": BadInput(RUN, "7", images(lambda v: np.where(v == 2, 7, v))),
     "an image of air": BadInput(RUN, "labels", images(lambda v: 0 * v)),
-    "exchanged images": BadInput(RUN, "look exchanged", all_of(images(), exchanged)),
+    "exchanged images": BadInput(RUN, "look swapped", all_of(images(), exchanged)),
     "voxels of two metres": BadInput(
         RUN,
         "2000 x 2000 x 2000 mm",

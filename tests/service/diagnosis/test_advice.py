@@ -130,5 +130,5 @@ def test_a_failed_plan_keeps_the_diagnosis(
     monkeypatch.setattr("palpate.service.commands.diagnoses.diagnosing.planned", fail)
     assert main([*command(runs), "--plan", "--json"]) == 0
     said = capsys.readouterr()
-    assert "Further measurements could not be tried. The nominal model" in said.err
+    assert "Further measurements could not be evaluated. The nominal model" in said.err
     assert json.loads(said.out)["verdict"] == "no-gap"

@@ -41,7 +41,9 @@ def test_a_scan_pressed_along_x_is_fitted_with_one_along_y(both_ways: Path) -> N
         assert scan.residual.std() < 0.3
 
 
-def test_plates_at_a_distance_give_the_stiffness_ratio(both_ways: Path, tmp_path: Path) -> None:
+def test_a_given_plate_distance_determines_the_stiffness_ratio(
+    both_ways: Path, tmp_path: Path
+) -> None:
     (tmp_path / "case").mkdir()
     for file in both_ways.glob("*.nrrd"):
         (tmp_path / "case" / file.name).symlink_to(file)

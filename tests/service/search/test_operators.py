@@ -35,7 +35,7 @@ def progress(*bests: float, generations: int = 15) -> Progress:
 # --- expectation -------------------------------------------------------------
 
 
-def test_expectation_of_three_by_hand() -> None:
+def test_expectation_of_three_matches_hand_calculation() -> None:
     # 1/sqrt(1), 1/sqrt(2), 1/sqrt(3) = 1, 0.707107, 0.577350; sum 2.284457; times 4 parents
     expectation = rank_expectation(np.array([2, 0, 1]), 4)
     assert expectation == pytest.approx([1.238118, 1.010919, 1.750963], abs=1e-6)
@@ -138,7 +138,7 @@ def test_uniform_population_is_not_stratified() -> None:
 # --- mutation ----------------------------------------------------------------
 
 
-def test_reflection_by_hand() -> None:
+def test_reflection_matches_hand_calculation() -> None:
     #  0.25 stays; -0.25 -> 0.25; 1.25 -> 0.75; 2.25 -> 0.25; -1.25 -> 0.75
     points = np.array([0.25, -0.25, 1.25, 2.25, -1.25, 0.0, 1.0])
     assert reflect(points).tolist() == [0.25, 0.25, 0.75, 0.25, 0.75, 0.0, 1.0]
@@ -157,7 +157,7 @@ def test_children_stay_within_bounds_even_from_a_corner(seed: int, name: str, ag
     assert not np.array_equal(children, parents)
 
 
-def test_step_of_adaptive_mutation_by_hand() -> None:
+def test_step_of_adaptive_mutation_matches_hand_calculation() -> None:
     mutation = AdaptiveFeasible(initial=0.25, smallest=0.01, largest=0.5, grow=2, shrink=0.25)
     inf = np.inf
     assert mutation.step(np.array([5.0])) == 0.25

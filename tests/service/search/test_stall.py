@@ -37,13 +37,17 @@ WEIGHTED = [
 
 
 @pytest.mark.parametrize(("bests", "window", "average"), RELATIVE)
-def test_relative_rule_by_hand(bests: list[float], window: int, average: float) -> None:
+def test_relative_rule_matches_hand_calculation(
+    bests: list[float], window: int, average: float
+) -> None:
     assert change("relative", bests, window, average * 1.000001)
     assert not change("relative", bests, window, average * 0.999999)
 
 
 @pytest.mark.parametrize(("bests", "window", "average"), WEIGHTED)
-def test_weighted_rule_by_hand(bests: list[float], window: int, average: float) -> None:
+def test_weighted_rule_matches_hand_calculation(
+    bests: list[float], window: int, average: float
+) -> None:
     assert change("weighted", bests, window, average * 1.000001)
     assert not change("weighted", bests, window, average * 0.999999)
 

@@ -145,10 +145,10 @@ def in_metres(place: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (exchanged, "Reference and target look exchanged"),
+        (exchanged, "Reference and target look swapped"),
         (mirrored, "looks like a mirror image"),
         (elsewhere, "overlap in 0% of their volume"),
-        (in_metres, "State its spacing_mm in mm"),
+        (in_metres, "Give its spacing_mm in mm"),
     ],
 )
 def test_rejects_implausible_images(place: Path, tmp_path: Path, change: Change, said: str) -> None:
@@ -162,7 +162,7 @@ def test_implausible_study_runs_if_the_user_insists(place: Path, tmp_path: Path)
     with pytest.raises(InputError, match="continue with --anyway"):
         preflight(imaged(place), tmp_path / "store")
     warnings = preflight(imaged(place), tmp_path / "store", anyway=True)
-    assert any("look exchanged" in one.text for one in warnings)
+    assert any("look swapped" in one.text for one in warnings)
 
 
 def test_impossible_study_is_always_refused(place: Path, tmp_path: Path) -> None:

@@ -145,7 +145,7 @@ def numba_threads():
     return numba.get_num_threads(), dict(os.environ)
 
 
-def test_dask_worker_has_one_thread_and_its_name(monkeypatch):
+def test_dask_worker_has_one_thread_and_reports_its_name(monkeypatch):
     monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
     with Client(n_workers=1, threads_per_worker=1, dashboard_address=":0") as client:
         client.register_plugin(OneThread())

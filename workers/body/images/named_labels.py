@@ -156,7 +156,7 @@ def _by_user(image: LabelImage, names: Mapping[int, str], stated: LabelMap) -> d
         for label in labels:
             if tissues.setdefault(label, tissue) != tissue:
                 raise InputError(
-                    f"labels: {label} of {image.where} is stated as {tissues[label].name.lower()} "
+                    f"labels: {label} of {image.where} is given as {tissues[label].name.lower()} "
                     f"and as {tissue.name.lower()}. Keep one."
                 )
     return tissues
@@ -168,12 +168,12 @@ def _refuse_other_name(
     named = _tissue_of(label, names)
     if label not in names and label != 0:
         raise InputError(
-            f"Label {label} is stated as {tissue.name.lower()}, but {image.where} has no such "
+            f"Label {label} is given as {tissue.name.lower()}, but {image.where} has no such "
             f"label. Its labels are {names_listed(names)}."
         )
     if named is not None and named != tissue:
         raise InputError(
-            f"Label {label} is stated as {tissue.name.lower()}, but {image.where} names it "
+            f"Label {label} is given as {tissue.name.lower()}, but {image.where} names it "
             f"{names.get(label, 'background')!r}. Its labels are {names_listed(names)}. Leave "
             "the numbers out, or state tissues by name, such as labels: "
             f"{{{names.get(label, 'background')}: {tissue.name.lower()}}}."

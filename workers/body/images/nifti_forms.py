@@ -42,8 +42,8 @@ def check_forms(header: Any, pixdim_mm: FloatArray, unit_mm: float, what: str) -
     if np.any(np.abs(steps - pixdim_mm)[known] > SPACING_TOLERANCE * pixdim_mm[known]):
         other = "qform and pixdim" if header["qform_code"] else "pixdim"
         raise InputError(
-            f"{what} contradicts itself: voxels measure {_mm(steps)} mm by its sform, "
-            f"{_mm(pixdim_mm)} mm by its {other}. Save it again with one geometry "
+            f"{what} is inconsistent: voxels measure {_mm(steps)} mm according to its sform, "
+            f"{_mm(pixdim_mm)} mm according to its {other}. Save it again with one geometry "
             "(nibabel: image.set_qform(affine) and image.set_sform(affine))."
         )
     if header["qform_code"] != 0 and known.all():
@@ -56,8 +56,8 @@ def _compare(sform: FloatArray, qform: FloatArray, header: Any, what: str) -> No
     cosines = np.sum(_unit(sform) * _unit(qform), axis=0)
     if cosines.min() < np.sqrt(0.5):
         raise InputError(
-            f"{what} contradicts itself: its voxel axes run to {_letters(sform)} by its sform, "
-            f"to {_letters(qform)} by its qform. {advice}"
+            f"{what} is inconsistent: its voxel axes run to {_letters(sform)} according to its "
+            f"sform, to {_letters(qform)} according to its qform. {advice}"
         )
     if header["sform_code"] != header["qform_code"]:
         return
@@ -67,7 +67,7 @@ def _compare(sform: FloatArray, qform: FloatArray, header: Any, what: str) -> No
     apart = float(np.linalg.norm(moved, axis=0).max())
     if apart > PLACE_TOLERANCE * np.linalg.norm(sform[:3, :3], axis=0).min():
         raise InputError(
-            f"{what} contradicts itself: sform and qform have the same code "
+            f"{what} is inconsistent: sform and qform have the same code "
             f"({int(header['sform_code'])}), but place voxels up to {apart:.3g} mm apart. {advice}"
         )
 

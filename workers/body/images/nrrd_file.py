@@ -98,7 +98,7 @@ def _refuse_other_spacings(steps: FloatArray, spacings: Any, spatial: list[int],
     both = np.isfinite(stated) & np.isfinite(length)
     if np.any(np.abs(stated - length)[both] > SPACING_TOLERANCE * length[both]):
         raise InputError(
-            f"{what} contradicts itself: voxels measure {_listed(length)} by its space directions, "
+            f"{what} is inconsistent: voxels measure {_listed(length)} by its space directions, "
             f"{_listed(stated)} by its spacings. Save it again with space directions alone."
         )
 

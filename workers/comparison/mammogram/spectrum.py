@@ -36,11 +36,13 @@ class Spectrum:
 
     def __post_init__(self) -> None:
         energies, photons = self.energies_kev, self.photons_per_mm2_mas
-        if energies.shape != photons.shape or energies.ndim != 1 or not photons.sum() > 0:
+        if energies.shape != photons.shape or energies.ndim != 1:
             raise InputError(
-                "A spectrum needs as many photon counts as energies, and some photons; got "
-                f"shapes {energies.shape} and {photons.shape}."
+                "A spectrum needs one photon count for each energy, got shapes "
+                f"{energies.shape} and {photons.shape}."
             )
+        if not photons.sum() > 0:
+            raise InputError("A spectrum needs a photon count > 0, but all counts are 0.")
 
 
 def spectrum_of(beam: Beam) -> Spectrum:

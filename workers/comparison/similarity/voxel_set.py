@@ -93,7 +93,7 @@ def _as_labels(values: NDArray[np.generic]) -> NDArray[np.uint8]:
         return np.ascontiguousarray(values)
     if values.dtype.kind not in "biu":
         raise InputError(
-            f"Labels are whole numbers, got values of type {values.dtype}. "
+            f"Labels must be whole numbers, got values of type {values.dtype}. "
             "Segment the image first, or relabel it."
         )
     if values.size and (int(values.min()) < 0 or int(values.max()) > 255):

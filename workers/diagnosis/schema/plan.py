@@ -13,8 +13,8 @@ class ParameterPlan:
     """Magnitudes of a parameter in its unit.
 
     `minimum` is detected with 80 % power at 1 % false alarms, None if the parameter is invisible;
-    `plausible` is a prior standard deviation. `shown_minimum` and `shown_plausible` are the same
-    in the unit for readers, `shown_unit`; None in records of earlier versions.
+    `plausible` is a prior standard deviation. `shown_minimum` and `shown_plausible` are these
+    values in the unit that readers see, `shown_unit`; None in records of earlier versions.
     """
 
     parameter: str
@@ -27,7 +27,7 @@ class ParameterPlan:
 
     @property
     def shown(self) -> tuple[float | None, float | None, str]:
-        """Return minimum and plausible magnitude in the unit for readers."""
+        """Return minimum and plausible magnitude in the unit that readers see."""
         if self.shown_unit is None:
             return self.minimum, self.plausible, self.unit
         return self.shown_minimum, self.shown_plausible, self.shown_unit

@@ -285,7 +285,7 @@ class OverlapRow:
 
 @dataclass(frozen=True, slots=True)
 class LoudestPlace:
-    """The place where a lump explains most; see `diagnosis.outcome.pictures.cause_map`."""
+    """The place where a lump would explain most; see `diagnosis.outcome.pictures.cause_map`."""
 
     score: float
     x_mm: float

@@ -100,8 +100,8 @@ def fit(family: Family, tables: Sequence[Table]) -> Fit:
 
 def _without_stiffness(family: Family) -> InputError:
     return InputError(
-        f"{family.name} follows these tables best without stiffness at rest. Check that stress "
-        "and stretch are not exchanged and that compression is negative."
+        f"{family.name} fits these tables best with zero stiffness at rest. Check that stress "
+        "and stretch are not swapped and that compression is negative."
     )
 
 

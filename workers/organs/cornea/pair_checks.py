@@ -47,7 +47,7 @@ def exchanged(rest: Imaged, pressed: Imaged) -> Iterator[Finding]:
         yield Finding(
             "implausible",
             f"The middle of the cornea moves outwards by {-depth:.2f} mm from {rest.name} to "
-            f"{pressed.name}; an air jet moves it inwards. Reference and target look exchanged.",
+            f"{pressed.name}; an air jet moves it inwards. Reference and target look swapped.",
         )
 
 

@@ -73,7 +73,7 @@ def test_air_has_no_middle() -> None:
         middle_mm(Volume(np.zeros((2, 2, 2), np.uint8), (1.0, 1.0, 1.0)), [Tissue.FAT])
 
 
-def test_difference_by_hand_in_boxes_that_differ() -> None:
+def test_difference_in_boxes_that_differ_matches_hand_calculation() -> None:
     target = drawn(
         ".ff.",
         "fggf",

@@ -90,7 +90,7 @@ class TestDefaultMap:
 
 
 class TestSummarise:
-    def test_by_hand(self) -> None:
+    def test_matches_hand_calculation(self) -> None:
         values = np.zeros((5, 10, 20), np.uint16)
         values[1:3, 2:4, 5:10] = 2  # 20 voxels of 0.25 ml
         values[4, 9, 19] = 70
@@ -144,7 +144,7 @@ class TestCrop:
             (3, (8, 11, 6), (11.0, 20.0, 38.0)),  # y has only 2 voxels to spare on either side
         ],
     )
-    def test_by_hand(
+    def test_matches_hand_calculation(
         self, image: Volume, margin: int, shape: tuple[int, ...], origin: tuple[float, ...]
     ) -> None:
         box = crop_to_body(image, margin)

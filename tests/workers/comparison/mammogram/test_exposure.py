@@ -165,5 +165,7 @@ def test_refuses_invalid_input() -> None:
         attenuation_per_mm(Tissue.FAT, np.array([80.0]))
     with pytest.raises(InputError, match="seed >= 0"):
         Noise(seed=-1)
-    with pytest.raises(InputError, match="as many photon counts as energies"):
+    with pytest.raises(InputError, match="one photon count for each energy"):
         Spectrum(np.array([20.0]), np.array([1.0, 2.0]))
+    with pytest.raises(InputError, match="all counts are 0"):
+        Spectrum(np.array([20.0]), np.array([0.0]))

@@ -103,7 +103,7 @@ def test_one_dimensional_orthant_is_the_normal_distribution(x):
 
 
 @pytest.mark.parametrize("rho", [-0.9, -0.3, 0.0, 0.5, 0.95])
-def test_orthant_of_two_and_three(rho):
+def test_orthant_probability_in_two_and_three_dimensions(rho):
     """Sheppard: 1/4 + asin(rho) / 2 pi; with three equal ones 1/8 + 3 asin(rho) / 4 pi."""
     two = np.array([[1.0, rho], [rho, 1.0]])
     expected = np.log(0.25 + np.arcsin(rho) / (2 * np.pi))

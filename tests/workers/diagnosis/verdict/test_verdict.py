@@ -34,7 +34,7 @@ def weigh(*hypotheses, **options):
     return verdict([NOTHING, *hypotheses], FAMILIES, **options)
 
 
-def test_probabilities_by_hand():
+def test_probabilities_match_hand_calculation():
     """Four listed effects; only one of them tried, and no field with it.
 
     ::

@@ -133,7 +133,7 @@ def test_rejects_too_few_points():
 )
 def test_rejects_compression_without_its_sign(family):
     table = Table(Mode.UNIAXIAL, np.array([0.9, 0.8, 0.7]), np.array([0.1, 0.2, 0.3]))
-    with pytest.raises(InputError, match="without stiffness at rest"):
+    with pytest.raises(InputError, match="zero stiffness at rest"):
         fit(family, [table])
 
 

@@ -133,7 +133,7 @@ def check_stated_gap(planes: Planes, tags: Any, what: str) -> None:
             continue
         if abs(gap - stated) > STATED_TOLERANCE * stated:
             raise InputError(
-                f"{what} contradicts itself: its slices are {gap:.4g} mm apart by their positions, "
+                f"{what} is inconsistent: its slices are {gap:.4g} mm apart by their positions, "
                 f"expected {stated:.4g} mm by its {name}. Export it again, or correct the one that "
                 "is wrong."
             )

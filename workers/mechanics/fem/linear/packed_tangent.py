@@ -27,7 +27,7 @@ class PackedTangent:
         self._free[:, :3] = level.free
 
     def only_free(self, x: Float32Array, y: Float32Array) -> None:
-        """Set y = `x` without held displacements and without its pressure."""
+        """Set y to `x`, with held displacements and the pressures set to zero."""
         np.multiply(x, self._free if x.ndim == 2 else self._free[:, :, None], out=y)
 
     def multiply(self, x: AnyFloatArray, y: AnyFloatArray) -> None:

@@ -21,9 +21,9 @@ def check_volume_range(scan: Scan) -> Iterator[Finding]:
     if not least <= scan.ml <= most:
         yield Finding(
             "implausible",
-            f"The body in {scan.file} has {_number(scan.ml)} ml and measures {_size(scan)} mm, in "
-            f"voxels of {scan.sides}; a breast has {least:g} to {most:g} ml. State its spacing_mm "
-            "in mm.",
+            f"The body in {scan.file} has a volume of {_number(scan.ml)} ml and measures "
+            f"{_size(scan)} mm, in voxels of {scan.sides}; a breast has {least:g} to {most:g} ml. "
+            "Give its spacing_mm in mm.",
         )
         return
     longest = max(scan.sides_mm)
@@ -31,7 +31,7 @@ def check_volume_range(scan: Scan) -> Iterator[Finding]:
         yield Finding(
             "warning",
             f"The body in {scan.file} measures {_size(scan)} mm, in voxels of {scan.sides}; a "
-            f"breast is {USUAL_MM[0]:g} to {USUAL_MM[1]:g} mm long. State its spacing_mm in mm.",
+            f"breast is {USUAL_MM[0]:g} to {USUAL_MM[1]:g} mm long. Give its spacing_mm in mm.",
         )
 
 

@@ -34,7 +34,7 @@ OTHER_AXIS, ALONG = 1.5, 0.7
 THICKNESS_VOXELS = 2.0
 # Difference of glandular shares above which exchanged labels are considered.
 GLAND_SHARE = 0.1
-# Share of glandular voxels in the outline above which fat and gland look exchanged.
+# Share of glandular voxels in the outline above which fat and gland look swapped.
 GLAND_OUTSIDE = 0.75
 # Smaller shifts and rotations cannot be distinguished from compression and voxel errors.
 LEAST_SHIFT_MM, LEAST_SHIFT_VOXELS, LEAST_TURN_DEG = 2.5, 1.5, 1.0
@@ -124,7 +124,7 @@ def check_thickness(facts: BreastFacts) -> Iterator[Finding]:
                 "implausible",
                 f"The body is {thick:.1f} mm thick between the plates in {rest.file} at rest, but "
                 f"{thin:.1f} mm in {scan.file} under load; compression was expected to make it "
-                "thinner. Reference and target look exchanged.",
+                "thinner. Reference and target look swapped.",
             )
 
 
@@ -163,7 +163,7 @@ def check_overlap(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def check_outline(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a body whose outline is mostly gland: its labels look exchanged."""
+    """Refuse a body whose outline is mostly gland: its labels look swapped."""
     if facts.rest is None:
         return
     rest = facts.rest
@@ -176,7 +176,7 @@ def check_outline(facts: BreastFacts) -> Iterator[Finding]:
             "implausible",
             f"In {rest.file} {share:.0%} of the outline is glandular tissue (label 2), expected "
             f"less than {GLAND_OUTSIDE:.0%}, as fat is outside. Fat (1) and glandular tissue (2) "
-            "look exchanged: exchange the labels in all scans.",
+            "look swapped: exchange the labels in all scans.",
         )
 
 

@@ -36,7 +36,7 @@ from tests.service.diagnosis.compressed_breast import (
     write_settings,
 )
 
-NODES, SPACING_MM = 600, 9.0
+NODES, SPACING_MM = 800, 9.0
 SUSPECTS = ["plate_tilt", "segmentation_offset"]
 TILT_DEG = 8.0
 TILT = {

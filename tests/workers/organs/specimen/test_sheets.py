@@ -130,7 +130,7 @@ def test_slip_of_the_moving_grip_is_found(tmp_path):
 
 
 def test_offset_of_a_load_cell_is_found(tmp_path):
-    offset_n = 0.01
+    offset_n = 0.02
     data = with_forces(described(), lambda stretch: force_n(stretch) + offset_n)
     summary = diagnosed(read_experiment(written(tmp_path, data)), tmp_path, GRIPS)
     assert summary.primary == ("load_cell_offset",)
@@ -218,7 +218,7 @@ def test_pressure_inflates_a_sheet():
             {"box_mm": [1, 1, 1], "sheet": {"size_mm": [1, 1], "thickness_mm": 1}},
             "give exactly one of box_mm, mesh and sheet, found box_mm and sheet",
         ),
-        ({"sheet": {"size_mm": [9, 9]}}, "thickness at rest in mm"),
+        ({"sheet": {"size_mm": [9, 9]}}, "thickness at rest, in mm"),
         ({"sheet": {"thickness_mm": 1}}, "give exactly one of size_mm and outline_mm"),
         (
             {"sheet": {"size_mm": [9, 9], "thickness_mm": 1}, "voxel_mm": 1},

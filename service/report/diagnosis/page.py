@@ -263,13 +263,14 @@ def _evidence_picture(summary: Summary) -> Picture | None:
 
 
 def _about_evidence(summary: Summary) -> str:
-    times = 1.0 / math.sqrt(SETTINGS.noise.coarsening)
-    noise_mm = times * summary.gap_mm.noise_floor
-    alone = (
-        "Each refit fits the constants and the effect together with new simulations. No model is "
-        f"exact, so causes are weighed as if the noise were {times:.1f} times as large "
-        f"({length(noise_mm)} mm at a point)."
-    )
+    alone = "Each refit fits the constants and the effect together with new simulations."
+    if summary.noise is not None:
+        times = 1.0 / math.sqrt(SETTINGS.noise.coarsening)
+        noise_mm = times * summary.gap_mm.noise_floor
+        alone += (
+            " No model is exact, so causes are weighed as if the noise were "
+            f"{times:.1f} times as large ({length(noise_mm)} mm at a point)."
+        )
     share = summary.explained_share
     if share is None or not summary.primary:
         return alone

@@ -201,6 +201,11 @@ class InverseProblem:
         return self.learnt.parts.fixed
 
     @property
+    def coarsening(self) -> float:
+        """Power of the likelihood; see `workers.diagnosis.noise.evidence`. 1 for measured noise."""
+        return SETTINGS.noise.coarsening if self.is_segmented else 1.0
+
+    @property
     def has_poses(self) -> bool:
         """Whether scans may deviate from the poses in their headers."""
         return self.learnt is not None and self.is_segmented

@@ -83,7 +83,7 @@ class NominalAnalysis:
         learnt, prior = self.inverse.learnt, self.inverse.something_else
         if learnt is None:
             raise ValueError("the noise is learnt with the calibration")
-        zeta = SETTINGS.noise.coarsening
+        zeta = self.inverse.coarsening
         return NoiseModel(learnt.parts, learnt.states, self.fields, prior.amplitudes_mm, zeta)
 
     def hypothesis(self, at: Fit) -> LinearHypothesis:

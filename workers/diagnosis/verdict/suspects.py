@@ -107,7 +107,7 @@ def _extended(analysis: NominalAnalysis, known: Catalogue, fitted: JointFit) -> 
     """
     others = [one for one in analysis.sensitivities if one.name not in fitted.names]
     at = fitted.fit.linearised(analysis.inverse).holding(fitted.fit.at_bound != 0)
-    least = SETTINGS.joint_fits.second_gain / SETTINGS.noise.coarsening
+    least = SETTINGS.joint_fits.second_gain / analysis.inverse.coarsening
     loud = [one for one in screen(at, others) if not one.hides and one.log_bayes_factor > least]
     return [
         _Extended((*fitted.effects, known[one.name]), fitted.log_evidence + one.log_bayes_factor)

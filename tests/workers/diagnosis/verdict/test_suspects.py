@@ -136,7 +136,7 @@ def test_three_effects_extend_the_best_two(monkeypatch) -> None:
         "palpate.workers.diagnosis.verdict.suspects.screen",
         lambda *_: [screened("skin_added", 30.0)],
     )
-    analysis: Any = SimpleNamespace(sensitivities=[], inverse=None)
+    analysis: Any = SimpleNamespace(sensitivities=[], inverse=SimpleNamespace(coarsening=0.3))
     known = {name: effect(name) for name in ("plate_tilt", "growth", "creep", "skin_added")}
     (found,) = triples(analysis, known, fits)
     assert [one.name for one in found] == ["plate_tilt", "growth", "skin_added"]
@@ -215,7 +215,7 @@ def test_fits_the_most_promising_pairs(monkeypatch, left, unexplained, expected)
     monkeypatch.setattr(
         "palpate.workers.diagnosis.verdict.suspects._is_unexplained", lambda *_: unexplained
     )
-    analysis: Any = SimpleNamespace(sensitivities=[], inverse=None)
+    analysis: Any = SimpleNamespace(sensitivities=[], inverse=SimpleNamespace(coarsening=0.3))
     known = {name: effect(name) for name in ("plate_tilt", "skin_added", "growth", "creep")}
     found = pairs(analysis, known, [fitted("skin_added", 90.0), fitted("plate_tilt", 100.0)])
     assert [tuple(one.name for one in pair) for pair in found] == expected

@@ -85,6 +85,8 @@ def parse_yaml(text: str, where: str) -> Any:
     except _RepeatedKeyError as error:
         raise InputError(f"{where}: {error}") from None
     except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
+        if "maximum nesting depth" in str(error):  # newer libyaml
+            raise InputError(f"{where} is nested too deeply.") from None
         raise InputError(f"{where} is not valid YAML: {error}.") from error
     except RecursionError:
         raise InputError(f"{where} is nested too deeply.") from None

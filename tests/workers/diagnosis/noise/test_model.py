@@ -167,8 +167,13 @@ def learnt(parts, residual):
     return learnt_states(parts, problem.nominal * problem.nominal_sd, residual, field)
 
 
-def test_evidence_averages_over_states_of_the_noise():
-    """Against the dense density of each state, with poses in the covariance."""
+@pytest.mark.parametrize("zeta", [1.0, 0.3])
+def test_evidence_averages_over_states_of_the_noise(zeta: float):
+    """Against the dense density of each state, with poses in the covariance.
+
+    The power zeta of a normal density is one of the covariance S / zeta, times
+    |S / zeta|^(1/2) |S|^(-zeta / 2); only the noise of the segmentation is coarsened.
+    """
     problem = observed(nominal_problem(K), np.random.default_rng(61))
     parts = parts_of(problem)
     states = [
@@ -178,9 +183,13 @@ def test_evidence_averages_over_states_of_the_noise():
     logs = []
     for state in states:
         scatter = parts.scatter(state.length, state.scales, state.numerical)
-        there = replace(problem, covariance_factor=factored(scatter + parts.fixed @ parts.fixed.T))
-        logs.append(dense_log_density(there) - constant_of(there) + state.log_weight)
-    found = NoiseModel(parts, states).log_evidence(hypothesis_of(problem))
+        drawn_alone = parts.scatter(state.length, state.scales, 0.0)
+        whole = scatter + (1 / zeta - 1) * drawn_alone + parts.fixed @ parts.fixed.T
+        there = replace(problem, covariance_factor=factored(whole))
+        _, log_determinant = np.linalg.slogdet(drawn_alone)
+        factor = (log_determinant - parts.size * np.log(zeta) - zeta * log_determinant) / 2
+        logs.append(dense_log_density(there) - constant_of(there) + factor + state.log_weight)
+    found = NoiseModel(parts, states, coarsening=zeta).log_evidence(hypothesis_of(problem))
     assert found == pytest.approx(logsumexp(logs), abs=1e-8)
 
 

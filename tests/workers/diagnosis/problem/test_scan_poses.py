@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from palpate.workers.diagnosis.noise.nuisances import pose_columns
+from palpate.workers.diagnosis.noise.nuisances import correlated, pose_columns
 from palpate.workers.diagnosis.outcome.parameter_posterior import parameter_posterior
 from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.mechanics.effects.observation import rigid_columns
 from tests.workers.diagnosis.linear_world import (
     dense_log_density,
     hypothesis_of,
@@ -59,6 +60,18 @@ def gain_of_the_shift(rng, *, off_mm):
     noise = known_noise_model(K)
     with_shift = posed(seen.freed(shift()[:, None], np.array([0.5])))
     return noise.log_evidence(with_shift) - noise.log_evidence(posed(seen))
+
+
+def test_the_pose_of_the_scan_at_rest_is_common_to_all_scans():
+    """Columns times their transpose: own poses of both scans, and one common to them."""
+    points, normals = np.eye(3)[[0, 1, 2, 0]] * 30.0, np.eye(3)[[1, 2, 0, 2]]
+    columns = pose_columns([points] * 2, [normals] * 2, (0.0, 0.0, 0.0), 0.3, 0.2)
+    one = rigid_columns(points, normals, (0.0, 0.0, 0.0)) * np.repeat([0.3, 0.2], 3)
+    expected = np.kron([[2.0, 1.0], [1.0, 2.0]], one @ one.T)
+    np.testing.assert_allclose(columns @ columns.T, expected, atol=1e-12)
+    free = np.random.default_rng(3).standard_normal((2, 6))
+    moved = [one @ pose for pose in correlated(free)]
+    np.testing.assert_allclose(columns @ free.ravel(), np.concatenate(moved), atol=1e-12)
 
 
 def test_separates_a_shift_from_small_pose_errors():

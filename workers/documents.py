@@ -85,11 +85,16 @@ def parse_yaml(text: str, where: str) -> Any:
     except _RepeatedKeyError as error:
         raise InputError(f"{where}: {error}") from None
     except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
-        if "maximum nesting depth" in str(error):  # newer libyaml
+        if is_too_deep(error):
             raise InputError(f"{where} is nested too deeply.") from None
         raise InputError(f"{where} is not valid YAML: {error}.") from error
     except RecursionError:
         raise InputError(f"{where} is nested too deeply.") from None
+
+
+def is_too_deep(error: Exception) -> bool:
+    """Test whether libyaml, which limits the depth in newer versions, reports its limit."""
+    return "maximum nesting depth" in str(error)
 
 
 def _check_size(text: str, where: str) -> None:

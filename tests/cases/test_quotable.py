@@ -350,8 +350,8 @@ def test_a_constant_of_a_law_that_stiffens_is_not_quotable() -> None:
     from tests.service.report.diagnosis_at_hand import VERDICTS
 
     own = {"before": 9.0, "after": 13.6, "after_interval": [12.3, 14.6], "depends_on_law": True}
-    told = VERDICTS["effect"] | {"constants": {"E_fat_kpa": own}}
-    found = judged_constants(from_json(Summary, told))["E_fat_kpa"]
+    record = VERDICTS["effect"] | {"constants": {"E_fat_kpa": own}}
+    found = judged_constants(from_json(Summary, record))["E_fat_kpa"]
     reason = "the slope at small strain depends on the law of the stiffening tissue"
     assert found.answer.reasons == (reason,)
 

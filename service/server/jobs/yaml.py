@@ -11,11 +11,12 @@ from typing import Any
 import yaml
 
 from palpate.storage.errors import InputError
-from palpate.workers.documents import parse_yaml
+from palpate.workers.documents import is_too_deep, parse_yaml
 from palpate.workers.input_files import reason_of
 
 MOST_EVENTS = 50_000
 DEEPEST = 40
+TOO_LARGE = "{} is nested too deeply or too long for a study."
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _LEADS_OUT = re.compile(
     r"^\s*(/|~|[A-Za-z]:[\\/]|\\\\|[A-Za-z][A-Za-z0-9+.-]*://)|(^|[\\/])\.\.([\\/]|$)"
@@ -33,6 +34,8 @@ def parsed_text(text: str, where: str) -> Any:
     try:
         _check_events(text, where)
     except yaml.YAMLError as error:
+        if is_too_deep(error):
+            raise InputError(TOO_LARGE.format(where)) from None
         raise InputError(f"{where} is not valid YAML: {reason_of(error)}") from error
     return parse_yaml(text, where)
 
@@ -47,7 +50,7 @@ def _check_events(text: str, where: str) -> None:
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
         if depth > DEEPEST or count > MOST_EVENTS:
-            raise InputError(f"{where} is nested too deeply or too long for a study.")
+            raise InputError(TOO_LARGE.format(where))
 
 
 def refuse_paths(data: Any, where: str) -> None:

@@ -9,10 +9,12 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
+import yaml
 
 from palpate.service.remote.client import Client
 from palpate.service.server.jobs.yaml import parsed_text, refuse_paths
 from palpate.storage.errors import InputError
+from palpate.workers.documents import parse_yaml
 from tests.recovery.stand_ins import SPEC
 from tests.service.server.service_process import TOKEN, ServiceProcess, running_service
 
@@ -318,3 +320,15 @@ def test_untrusted_yaml() -> None:
     for text in ("/x", " /x", "a/../b", "..", "~", "x/..", "http://x", "a\0b"):
         with pytest.raises(InputError, match="points outside"):
             refuse_paths({"a": [text]}, "it")
+
+
+def test_the_depth_limit_of_a_newer_libyaml_has_the_same_message(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def parse(*_: Any) -> Any:
+        raise yaml.YAMLError("while increasing flow level\nexceeded maximum nesting depth")
+
+    monkeypatch.setattr(yaml, "parse", parse)
+    for read in (parsed_text, parse_yaml):
+        with pytest.raises(InputError, match="study.yaml is nested too deeply"):
+            read("[", "study.yaml")

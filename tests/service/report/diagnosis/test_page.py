@@ -79,16 +79,16 @@ def test_verdict_names_cause_magnitude_and_held_out_gap() -> None:
 
 
 def test_says_that_something_is_left_and_that_only_the_first_cause_is_certain() -> None:
-    told = summary(primary=["plate_tilt", "plate_force"])
-    told["gap_mm"] = VERDICTS["one scan"]["gap_mm"] | {"after": gap(0.3, 0.2, 0.4)}
-    text = sentence_of(told)
+    record = summary(primary=["plate_tilt", "plate_force"])
+    record["gap_mm"] = VERDICTS["one scan"]["gap_mm"] | {"after": gap(0.3, 0.2, 0.4)}
+    text = sentence_of(record)
     assert "The cause is plate tilt (5.48 ± 0.27 deg, probability > 99 %), perhaps with" in text
     assert text.endswith(
         "It leaves 0.30 mm (0.20 to 0.40). A complete model would leave at most 0.09 mm: another "
         "cause acts as well."
     )
-    told["gap_mm"] = VERDICTS["one scan"]["gap_mm"] | {"after": gap(0.3, 0.04, 0.5)}
-    assert sentence_of(told).endswith("It leaves 0.30 mm (0.04 to 0.50).")
+    record["gap_mm"] = VERDICTS["one scan"]["gap_mm"] | {"after": gap(0.3, 0.04, 0.5)}
+    assert sentence_of(record).endswith("It leaves 0.30 mm (0.04 to 0.50).")
 
 
 def test_systematic_residual_below_noise() -> None:

@@ -330,5 +330,5 @@ def test_the_depth_limit_of_a_newer_libyaml_has_the_same_message(
 
     monkeypatch.setattr(yaml, "parse", parse)
     for read in (parsed_text, parse_yaml):
-        with pytest.raises(InputError, match="study.yaml is nested too deeply"):
+        with pytest.raises(InputError, match="is nested too deeply"):
             read("[", "study.yaml")

@@ -82,6 +82,8 @@ class IdentifiedConstant:
         Standard deviation contributed by each source of error, in `unit`.
     depends_on : tuple of str
         Constants at a bound of the search that affect the value.
+    prior_share : float
+        Part of the information on the value that its prior contributes, 0 to 1.
     """
 
     name: str
@@ -91,6 +93,7 @@ class IdentifiedConstant:
     identifiable: Identifiable
     errors: Mapping[str, float] = field(default_factory=dict)
     depends_on: tuple[str, ...] = ()
+    prior_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -248,7 +251,8 @@ def _constant(searched: SearchedConstants, local: LocalModel, i: int) -> Identif
     ends = None if local.unseen(i) else local.ends(i)
     errors = {source: searched.at_door(name, sd) for source, sd in local.errors(i).items()}
     judged = _judged(searched, name, value, ends, TANGENTS)
-    return replace(judged, errors=errors, depends_on=_depends_on(local, i))
+    share = local.prior_share(i)
+    return replace(judged, errors=errors, depends_on=_depends_on(local, i), prior_share=share)
 
 
 def _depends_on(local: LocalModel, i: int) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from palpate.service.results.error_budget import (
     nuisance_sources,
 )
 from palpate.service.search.space import FloatArray
-from palpate.storage.records.tasks import FitJson, MeshFit
+from palpate.storage.records.tasks import FitJson, MeshFit, Prior
 from palpate.workers.mechanics.parameters import Parameter, Vocabulary
 from palpate.workers.organs.nuisances import Nuisance
 
@@ -102,11 +102,14 @@ class SearchedConstants:
         In internal names and units.
     common_scale : tuple of str
         Names of stiffnesses known only up to a common factor; empty if all can be found.
+    priors : mapping of str to (float, float)
+        Mean and standard deviation of constants with a prior, in internal names and units.
     """
 
     vocabulary: Vocabulary
     bounds: Mapping[str, tuple[float, float]]
     common_scale: tuple[str, ...] = field(default=())
+    priors: Mapping[str, Prior] = field(default_factory=dict)
 
     def parameter(self, name: str) -> Parameter:
         """Return a parameter by its internal name."""
@@ -146,6 +149,7 @@ class LocalModel:
         self.sources = self._sources(others or OtherProblems())
         self.common = np.array([name in searched.common_scale for name in self.names])
         self.unseen_root = self._unseen_root(bounds)
+        self.priors = searched.priors
 
     @property
     def correlation(self) -> tuple[tuple[float, ...], ...]:
@@ -211,6 +215,17 @@ class LocalModel:
         """Return each source's standard deviation for a constant, in internal units."""
         unit = abs(self.values[i]) if self.logarithmic[i] else self.scale[i]
         return {source.name: float(source.sd[i] * unit) for source in self.sources}
+
+    def prior_share(self, i: int) -> float:
+        """Return the part of what is known about a constant that its prior contributes, 0 to 1.
+
+        The information is the inverse of the variance; 0 without a prior.
+        """
+        if self.names[i] not in self.priors or self.unseen(i):
+            return 0.0
+        _, sd = self.priors[self.names[i]]
+        slope = float(self.values[i] if self.logarithmic[i] else self.scale[i]) / sd
+        return float(self._inverse()[i, i]) * slope**2
 
     @property
     def supported(self) -> tuple[str, ...]:

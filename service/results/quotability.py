@@ -51,12 +51,19 @@ def facts_of(results: "StudyResults", name: str) -> EstimateFacts:
         converged=_converged(results),
         no_better_than=_no_better_than(results),
         residual_factor=1.0 if known is None else known.noise_factor,
+        prior=_prior(results, name),
+        prior_share=0.0 if constant is None else constant.prior_share,
         contradictions=(
             *_dependent(constant, results),
             *_of_all(results),
             *results.findings.get("against", {}).get(name, ()),
         ),
     )
+
+
+def _prior(results: "StudyResults", name: str) -> Bounds | None:
+    prior = results.spec.search.prior.get(results.estimates[name].gene)
+    return None if prior is None else (prior.mean, prior.sd)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,10 @@ Identifiable = Literal["value", "ratio", "weak", "unknown"]
 # A residual of more than this multiple of the stated noise means that the model is wrong, which
 # no interval can make up for. Calibrated by tests/benchmarks/interval_coverage.py.
 MOST_RESIDUAL = 2.0
+# Above this share of the information, a constant's prior counts for more than the images.
+MOST_OF_PRIOR = 0.5
+# A value this many standard deviations from the mean of its prior contradicts it.
+MOST_DEVIATIONS = 3.0
 UNFINISHED = "the search has not finished, and this is the best value so far"
 
 
@@ -50,6 +54,10 @@ class EstimateFacts:
         body``; empty if the best fit is better.
     residual_factor : float
         Ratio of the best fit's residual to the stated noise.
+    prior : (float, float) or None
+        Mean and standard deviation of the prior.
+    prior_share : float
+        Part of the information on the value that its prior contributes, 0 to 1.
     contradictions : tuple of str
         Other statements in the same results that contradict the estimate, as clauses.
     """
@@ -64,6 +72,8 @@ class EstimateFacts:
     converged: bool = True
     no_better_than: str = ""
     residual_factor: float = 1.0
+    prior: Bounds | None = None
+    prior_share: float = 0.0
     contradictions: tuple[str, ...] = ()
 
 
@@ -116,6 +126,7 @@ def quotability(facts: EstimateFacts) -> Quotability:
         *_bounds(facts, facts.value),
         *_interval(facts),
         *_misfit(facts),
+        *_prior(facts, facts.value),
         *facts.contradictions,
     ]
     estimated = not facts.no_better_than
@@ -162,6 +173,18 @@ def _misfit(facts: EstimateFacts) -> list[str]:
             f"the residual is {number(facts.residual_factor, 2)} times the stated noise "
             f"(at most {number(MOST_RESIDUAL, 2)} times)"
         )
+    return reasons
+
+
+def _prior(facts: EstimateFacts, value: float) -> list[str]:
+    if facts.prior is None:
+        return []
+    (mean, sd), reasons = facts.prior, []
+    if facts.prior_share > MOST_OF_PRIOR:
+        reasons.append("the prior determines it more than the images do")
+    if abs(value - mean) > MOST_DEVIATIONS * sd:
+        far = number(abs(value - mean) / sd, 2)
+        reasons.append(f"{far} standard deviations from the mean of its prior")
     return reasons
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from palpate.service.formatting import number
 from palpate.service.results.identification import (
     Identification,
     identification_from_scatter,
@@ -84,7 +85,7 @@ def study_results(folder: Path) -> StudyResults:
         findings=findings,
         identification=identification,
         unverified_records=log.unverified,
-        caveats=log.caveats,
+        caveats=(*log.caveats, *_priors_included(spec)),
         lowest_gsf=ranked.lowest_gsf,
         best_note=ranked.note,
         posterior=posterior,
@@ -197,6 +198,16 @@ def estimates_of(
     return estimates
 
 
+def _priors_included(spec: StudySpec) -> list[str]:
+    """Return a sentence for each constant with a prior."""
+    sentences = []
+    for name, prior in spec.search.prior.items():
+        unit = spec.case.parameters.at_door(name).unit.symbol
+        known = f"{number(prior.mean)} ± {number(prior.sd)} {unit}".rstrip()
+        sentences.append(f"The estimate and the interval of {name} include its prior, {known}.")
+    return sentences
+
+
 def _identification(
     spec: StudySpec,
     log: StudyLog,
@@ -210,6 +221,7 @@ def _identification(
         spec.case.parameters,
         spec.case.parameters.bounds_from_door(spec.search.parameters),
         spec.common_scale,
+        spec.priors,
     )
     found = log.identification
     if found is not None and found.fit is not None:

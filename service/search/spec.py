@@ -81,8 +81,23 @@ class StopSpec(Door):
     hours: Positive | None = None
 
 
+class PriorSpec(Door):
+    """What is known of a parameter besides the images: a normal distribution.
+
+    Parameters
+    ----------
+    mean
+        In the parameter's unit, within its bounds.
+    sd
+        Standard deviation, in the same unit.
+    """
+
+    mean: Finite
+    sd: Positive
+
+
 # Keys that older studies lack: left out at their defaults, or digests would change.
-LATER = ("mode", "in_flight", "start", "stop", "scale", "constraints")
+LATER = ("mode", "in_flight", "start", "stop", "scale", "constraints", "prior")
 
 
 class SearchSpec(Door):
@@ -137,6 +152,10 @@ class SearchSpec(Door):
     constraints
         Inequalities between parameters, such as ``E_glandular_kpa > 2 * E_fat_kpa``; for
         ``genetic`` and ``cma``.
+    prior
+        Mean and standard deviation of parameters known from elsewhere, such as
+        ``{E_fat_kpa: {mean: 8, sd: 2}}``; for the strategies that use derivatives, which weigh
+        them against the noise of the images.
     """
 
     parameters: Annotated[dict[str, Bounds], Field(min_length=1)] = Field(
@@ -161,6 +180,7 @@ class SearchSpec(Door):
     stop: StopSpec | None = None
     scale: dict[str, Literal["linear", "log"]] = Field(default_factory=dict)
     constraints: tuple[str, ...] = ()
+    prior: dict[str, PriorSpec] = Field(default_factory=dict)
 
     @model_serializer(mode="wrap")
     def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -214,13 +234,18 @@ class SearchSpec(Door):
         for key in ("constraints", "scale"):
             if getattr(self, key) and strategy.settings and key not in strategy.settings:
                 raise ValueError(f"{key}: not supported by strategy {self.strategy}")
+        if self.prior and not strategy.by_derivatives:
+            raise ValueError(
+                f"prior: strategy {self.strategy} minimises a score, which has no noise to weigh a "
+                "prior against; use least-squares or genetic+least-squares"
+            )
         most = {"cma": 1, "least-squares": self.starts}.get(self.strategy, self.population)
         if len(self.start) > most:
             raise ValueError(
                 f"start: {len(self.start)} points, but strategy {self.strategy} takes {most}"
             )
         try:
-            _ = self.start_genes, self.log_scale, self.inequalities
+            _ = self.start_genes, self.log_scale, self.inequalities, self.priors
         except InputError as error:
             raise ValueError(str(error)) from None
         return self
@@ -248,6 +273,20 @@ class SearchSpec(Door):
         """Return the constraints; None if there are none."""
         parsed = [Constraint.parse(text) for text in self.constraints]
         return Constraints(self.space, parsed) if parsed else None
+
+    @property
+    def priors(self) -> dict[str, Bounds]:
+        """Return mean and standard deviation of each parameter with a prior, external units."""
+        for name, prior in self.prior.items():
+            if name not in self.parameters:
+                raise InputError(f"prior: {name} is not searched")
+            low, high = self.parameters[name]
+            if not low <= prior.mean <= high:
+                raise InputError(
+                    f"prior: the mean of {name}, {prior.mean:g}, is outside its bounds "
+                    f"[{low:g}, {high:g}]"
+                )
+        return {name: (prior.mean, prior.sd) for name, prior in self.prior.items()}
 
     @property
     def _stops_by_candidates(self) -> bool:

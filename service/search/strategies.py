@@ -151,7 +151,7 @@ LEAST_SQUARES = Strategy(
     most_generations=_fit_generations,
     by_derivatives=True,
     coarse_first=True,
-    settings=(*_OF_ALL, *_OF_FITS),
+    settings=(*_OF_ALL, *_OF_FITS, "prior"),
 )
 POLISHED = Strategy(
     "genetic+least-squares",
@@ -161,5 +161,5 @@ POLISHED = Strategy(
     ),
     most_generations=lambda asked: asked.search.generations + _fit_generations(asked),
     by_derivatives=True,
-    settings=(*_OF_ALL, *_OF_BREEDING, *_OF_FITS, "scale"),
+    settings=(*_OF_ALL, *_OF_BREEDING, *_OF_FITS, "scale", "prior"),
 )

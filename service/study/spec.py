@@ -26,7 +26,7 @@ from palpate.service.search.stop_rules import StoppingSearch, StopRules
 from palpate.service.search.strategies import SearchRequest, Strategy, strategy_named
 from palpate.storage.digest import digest
 from palpate.storage.errors import InputError
-from palpate.storage.records.tasks import FreeParameter
+from palpate.storage.records.tasks import FreeParameter, Prior
 from palpate.workers.comparison.similarity.objective import Objective, objective_named
 from palpate.workers.documents import parse_yaml
 from palpate.workers.input_files import read_text, reading
@@ -183,8 +183,24 @@ class StudySpec(Door):
     @property
     def free_parameters(self) -> list[FreeParameter]:
         """Return the searched parameters with internal names and units, for an evaluation."""
-        bounds = self.case.parameters.bounds_from_door(self.search.parameters)
-        return [{"name": n, "lower": lo, "upper": hi} for n, (lo, hi) in bounds.items()]
+        bounds, priors = self.case.parameters.bounds_from_door(self.search.parameters), self.priors
+        free: list[FreeParameter] = []
+        for name, (lower, upper) in bounds.items():
+            free.append({"name": name, "lower": lower, "upper": upper})
+            if name in priors:
+                free[-1]["prior"] = priors[name]
+        return free
+
+    @property
+    def priors(self) -> dict[str, Prior]:
+        """Return mean and standard deviation of parameters with a prior, internal names, units."""
+        known = self.search.priors
+        parameters = {name: self.case.parameters.at_door(name) for name in known}
+        return {
+            parameters[name].name: (mean / one, sd / one)
+            for name, (mean, sd) in known.items()
+            if (one := float(parameters[name].unit.to_door(1.0)))
+        }
 
     @property
     def fitted_names(self) -> FittedNames:

@@ -77,7 +77,7 @@ class FitJson(TypedDict):
     parameters: ``cost`` is r'r, ``gradient`` J'r, ``hessian`` J'J. A parameter is the logarithm of
     a constant if ``logarithmic``. ``parameters`` and ``values`` use internal names and units;
     ``rms_mm`` is the root mean square of the residuals; ``noise`` describes the noise they were
-    divided by.
+    divided by. Each prior of a parameter adds a residual, which ``rms_mm`` leaves out.
     """
 
     parameters: list[str]
@@ -98,12 +98,19 @@ class MeshFit(TypedDict):
     fit: FitJson
 
 
+Prior = tuple[float, float]
+
+
 class FreeParameter(TypedDict):
-    """A free parameter of the residuals: internal name and units, bounds of the search."""
+    """A free parameter of the residuals: internal name and units, bounds of the search.
+
+    ``prior`` has the mean and the standard deviation of a normal distribution.
+    """
 
     name: str
     lower: float
     upper: float
+    prior: NotRequired[Prior]
 
 
 class EvaluationRequest(TypedDict):

@@ -19,6 +19,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from palpate.service.cluster.dispatch import Ending
 from palpate.service.study.log import StudyLog
 from palpate.service.study.loop import Conclusion, Study, Tasks
@@ -31,6 +33,8 @@ from palpate.storage.plain import dumps
 from palpate.storage.records.evaluations import load_evaluation, save_evaluation
 from palpate.storage.records.seal import KEY, seal
 from palpate.storage.stores.store import Store, open_store
+from palpate.workers.organs.normal_equations import NormalEquations
+from palpate.workers.tasks.pipeline import with_priors
 
 Record = dict[str, Any]
 LOG = "executions.log"
@@ -90,15 +94,20 @@ def fit_of(constants: Record, free: Sequence[Record]) -> Record:
     ratios = [constants[name] / TRUTH.get(name, 0.1) for name in names]
     squares = [[20 * (q / 0.01) ** 2 * (i == j) for j in range(len(names))]
                for i, q in enumerate(ratios)]  # fmt: skip
+    gradient = np.array([20 * (q - 1) * q / 0.01**2 for q in ratios])
+    cost = sum(20 * ((q - 1) / 0.01) ** 2 for q in ratios)
+    image = NormalEquations(cost, gradient, np.array(squares), 20 * len(names))
+    values = [constants[name] for name in names]
+    equations = with_priors(image, values, free)  # type: ignore[arg-type]
     return {
         "parameters": names,
         "logarithmic": [True] * len(names),
-        "values": [constants[name] for name in names],
-        "residuals": 20 * len(names),
+        "values": values,
+        "residuals": equations.residuals,
         "rms_mm": 0.1,
-        "cost": sum(20 * ((q - 1) / 0.01) ** 2 for q in ratios),
-        "gradient": [20 * (q - 1) * q / 0.01**2 for q in ratios],
-        "hessian": squares,
+        "cost": equations.cost,
+        "gradient": equations.gradient.tolist(),
+        "hessian": equations.hessian.tolist(),
         "noise": "a hundredth",
     }
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from palpate.storage.records.tasks import FitJson, FreeParameter
 from palpate.workers.comparison.similarity.objective import GSF, Measure, Objective
+from palpate.workers.organs.normal_equations import NormalEquations
 from palpate.workers.organs.organ import (
     Organ,
     Residuals,
@@ -159,11 +160,12 @@ def evaluate(
 def _normal_equations(
     residuals: Residuals, constants: Mapping[str, float], free: Sequence[FreeParameter]
 ) -> FitJson:
-    equations = residuals.equations
+    values = [float(constants.get(p["name"], 0.0)) for p in free]
+    equations = with_priors(residuals.equations, values, free)
     return {
         "parameters": [p["name"] for p in free],
         "logarithmic": [logarithmic(p) for p in free],
-        "values": [float(constants.get(p["name"], 0.0)) for p in free],
+        "values": values,
         "residuals": equations.residuals,
         "rms_mm": float(np.sqrt(np.mean(residuals.mm**2))),
         "cost": equations.cost,
@@ -171,3 +173,28 @@ def _normal_equations(
         "hessian": [[float(v) for v in row] for row in equations.hessian],
         "noise": residuals.noise,
     }
+
+
+def with_priors(
+    equations: NormalEquations, values: Sequence[float], free: Sequence[FreeParameter]
+) -> NormalEquations:
+    """Add a residual (value - mean) / sd for each prior, with its derivative.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+    values : sequence of float, p
+        Of the free parameters, in internal units.
+    free : sequence of FreeParameter, p
+    """
+    gradient, hessian = equations.gradient.copy(), equations.hessian.copy()
+    cost, count = equations.cost, equations.residuals
+    for i, (value, parameter) in enumerate(zip(values, free, strict=True)):
+        if (prior := parameter.get("prior")) is None:
+            continue
+        mean, sd = prior
+        residual, slope = (value - mean) / sd, (value if logarithmic(parameter) else 1.0) / sd
+        cost, count = cost + residual**2, count + 1
+        gradient[i] += residual * slope
+        hessian[i, i] += slope**2
+    return NormalEquations(cost, gradient, hessian, count)

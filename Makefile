@@ -11,6 +11,9 @@
 #
 # Another interpreter: make demo PYTHON=/usr/bin/python3.12 (3.11 or newer).
 
+# Tests start hundreds of processes; without stored bytecode each would compile what it imports.
+unexport PYTHONDONTWRITEBYTECODE
+
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready

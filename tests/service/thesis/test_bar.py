@@ -58,6 +58,7 @@ def test_all_converge_and_mirrored_loads_give_mirrored_bars(experiment: BarExper
     assert experiment.gold_tip_mm[0] == pytest.approx(-SIDE_MM, rel=0.1)
 
 
+@pytest.mark.slow
 def test_misfit_grows_from_group_to_group(experiment: BarExperiment) -> None:
     monotone = select(experiment).monotone
     assert [n for group in GROUPS for n in group] == list(DEFORMATIONS)
@@ -65,12 +66,14 @@ def test_misfit_grows_from_group_to_group(experiment: BarExperiment) -> None:
         assert monotone[name], name
 
 
+@pytest.mark.slow
 def test_volume_difference_and_signed_mean_are_not_monotone(experiment: BarExperiment) -> None:
     monotone = select(experiment).monotone
     assert not monotone["dV"]
     assert not monotone["SM"]
 
 
+@pytest.mark.slow
 def test_selection_keeps_the_modified_hausdorff_distance(experiment: BarExperiment) -> None:
     selection = select(experiment)
     assert "D22" in selection.kept

@@ -76,6 +76,7 @@ def test_mesh_measurement_includes_histograms(store: str) -> None:
     assert 0 < glandular.mean() < 1
 
 
+@pytest.mark.slow
 def test_compares_pressed_phantoms_by_compartment(store: str) -> None:
     request = ComparePressed(store, "sketch", 3, "neo-Hookean", "CC")
     compare_pressed(request)
@@ -87,6 +88,7 @@ def test_compares_pressed_phantoms_by_compartment(store: str) -> None:
     assert row.centroid_mm < 3
 
 
+@pytest.mark.slow
 def test_mammograms_have_pictures_and_dicom_files(store: str) -> None:
     request = Expose(store, "sketch", 3, "CC")
     take_mammograms(request)
@@ -97,7 +99,8 @@ def test_mammograms_have_pictures_and_dicom_files(store: str) -> None:
     assert bytes(arrays["adaptive_dicom"][128:132]) == b"DICM"
 
 
-def test_parts_depend_on_the_scale(store: str) -> None:
+def test_parts_depend_on_the_scale(tmp_path: Path) -> None:
+    store = str(tmp_path / "store")
     names = {Bend(store, scale, 1).part.name for scale in ("sketch", "reduced", "full")}
     assert len(names) == 3
     assert Bend(store, "sketch", 1).part.name != Bend(store, "sketch", 2).part.name

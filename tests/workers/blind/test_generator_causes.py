@@ -60,13 +60,13 @@ def volume(mesh, displacement_mm):
 @pytest.mark.parametrize(
     ("cause", "least_mm", "most_mm"),
     [
-        (ShortPlate(2.0), 0.1, 2.0),
+        pytest.param(ShortPlate(2.0), 0.1, 2.0, marks=pytest.mark.slow),
         (ShortPlate(8.0), 0.5, 6.0),
         (WallRise(5.0, -3.0, 25.0, 3.0), 0.3, 3.0),
-        (WallRise(5.0, -3.0, 25.0, -3.0), 0.3, 3.0),
+        pytest.param(WallRise(5.0, -3.0, 25.0, -3.0), 0.3, 3.0, marks=pytest.mark.slow),
         (Tether(10.0, 60.0, 0.15), 0.1, 4.0),
         (FibreContrast(6.0, 0.0), 0.03, 1.0),
-        (FibreContrast(1 / 6.0, 0.0), 0.03, 1.0),
+        pytest.param(FibreContrast(1 / 6.0, 0.0), 0.03, 1.0, marks=pytest.mark.slow),
         (Swelling(0.06, 0.1), 0.1, 2.0),
     ],
     ids=str,

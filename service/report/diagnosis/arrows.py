@@ -111,9 +111,8 @@ def enlarged(misfits: Misfits, noise_mm: float) -> float:
 
 
 def _state(misfits: Misfits, number: int, times: float, named: str, width: float) -> Svg:
-    """Draw one state, seen along each of the two shortest sides of the body."""
-    longest, middle, shortest = np.argsort(-np.ptp(misfits.points, axis=0), kind="stable").tolist()
-    views = ((longest, middle), (longest, shortest))
+    """Draw one state from all sides; see `views_of`."""
+    views = views_of(misfits.points, misfits.points)
     svg = Svg(width, 0.0)
     marks: list[tuple[Mark, str, str]] = [("line", "left-before", "nominal model")]
     if misfits.after is not None:
@@ -130,6 +129,20 @@ def _state(misfits: Misfits, number: int, times: float, named: str, width: float
                 _arrows(svg, panel, points, times * left[number][np.ix_(every, view)], class_)
         svg.height = max(svg.height, panel.up.start + BELOW_PX)
     return svg
+
+
+def views_of(rest: FloatArray, drawn: FloatArray) -> tuple[tuple[int, int], ...]:
+    """Return the axes of views along the two shortest sides of a body, or the shortest of a sheet.
+
+    Parameters
+    ----------
+    rest, drawn : ndarray, shape (k, 3)
+        Points at rest, and all points of the drawing, in mm.
+    """
+    longest, middle, shortest = np.argsort(-np.ptp(rest, axis=0), kind="stable").tolist()
+    if not np.ptp(drawn[:, shortest]) > 0:
+        return ((longest, middle),)
+    return (longest, middle), (longest, shortest)
 
 
 def panels(

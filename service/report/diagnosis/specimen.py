@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from palpate.service.diagnosis.words import length
-from palpate.service.report.diagnosis.arrows import panels
+from palpate.service.report.diagnosis.arrows import panels, views_of
 from palpate.service.report.drawing.panel import BELOW_PX, LEFT_PX, Panel
 from palpate.service.report.drawing.pictures import Picture, Row, chart
 from palpate.service.report.drawing.svg import Mark, Svg, legend
@@ -121,16 +121,13 @@ def _at_rest(one: Movement) -> FloatArray:
 
 
 def _state(one: Movement, times: float, named: str, width: float) -> Svg:
-    """Draw one state, seen along each of the two shortest sides of the body; a sheet once."""
+    """Draw one state from all sides; see `views_of`."""
     drawn = {name: one.rest + times * u for name, u in one.moved.items()}
     edges = {w: one.edges_rest + times * (e - one.edges_rest) for w, e in one.edges.items()}
     everything = np.concatenate(
         [_at_rest(one), *drawn.values(), *(e.reshape(-1, 3) for e in edges.values())]
     )
-    rest = _at_rest(one)
-    longest, middle, shortest = np.argsort(-np.ptp(rest, axis=0), kind="stable").tolist()
-    is_flat = not np.ptp(everything[:, shortest]) > 0
-    views = ((longest, middle), *(() if is_flat else ((longest, shortest),)))
+    views = views_of(_at_rest(one), everything)
     svg = Svg(width, 0.0)
     marks: list[tuple[Mark, str, str]] = [
         ("line", "at-rest", "at rest"),

@@ -75,3 +75,14 @@ def test_draws_no_arrows_for_few_points() -> None:
         name: values[..., few] if name == "before" else values[few] for name, values in maps.items()
     }
     assert not list(arrow_pictures(maps, ["pulled"], "", 0.01))
+
+
+def test_sheet_is_drawn_once() -> None:
+    flat = POINTS * [0.0, 1.0, 1.0]
+    maps = maps_of(left(1, (0.0, 0.1, 0.0)))
+    maps["points"][:-1] = np.repeat(flat, 3, axis=0)
+    (shown,) = arrow_pictures(maps, ["pulled"], "", 0.01)
+    wide = str(shown.svg).split("<svg")[1]
+    assert "z, mm" in wide
+    assert "y, mm" in wide
+    assert "x, mm" not in wide

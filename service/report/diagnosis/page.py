@@ -37,7 +37,7 @@ from palpate.service.report.diagnosis.slices import overlay_legend
 from palpate.service.report.diagnosis.specimen import specimen_pictures
 from palpate.service.report.diagnosis.viewers import body_data, slice_data
 from palpate.service.report.drawing.pictures import Picture, Row, chart
-from palpate.service.report.page.glossary import DIAGNOSIS
+from palpate.service.report.page.glossary import DIAGNOSIS, OVERLAP
 from palpate.service.report.page.template import filled
 from palpate.service.report.study.provenance import diagnosis_provenance
 from palpate.service.versions import palpate_version, versions
@@ -106,7 +106,7 @@ def context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str, object]:
         "quote": quotable(summary),
         "next_step": next_step(summary, origin.made.command),
         "provenance": diagnosis_provenance(origin.made, versions()),
-        "glossary": DIAGNOSIS,
+        "glossary": DIAGNOSIS + (OVERLAP if summary.overlap else ()),
         "body_data": None if summary.markers else body_data(maps, scans, named, origin.loads),
         "slice_data": slice_data(maps, scans, named, origin.loads),
         "tiles": _tiles(summary),

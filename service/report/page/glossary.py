@@ -48,5 +48,8 @@ DIAGNOSIS = (
         "neither confirmed nor ruled out.",
     ),
     ("On unseen scans", "Each scan is compared with a fit to the others."),
+)
+# For scans; a bench has no overlap.
+OVERLAP = (
     ("JC, MHD, GSF", "Jaccard coefficient, modified Hausdorff distance, and ln((1 − JC) · MHD)."),
 )

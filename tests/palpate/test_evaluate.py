@@ -34,7 +34,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> palpate.Study:
 
 
 def test_scores_agree_with_forward_model(study: palpate.Study) -> None:
-    table = {"E_fat_kpa": [8.0, 12.0, 0.001]}
+    table = {"E_fat_kpa": [8.0, 12.0, 0.1]}
     found = study.evaluate(table, in_process=True)
     assert found["status"].tolist() == ["done", "done", "diverged"]
     assert found["reason"][2]

@@ -198,7 +198,7 @@ def test_job_script_of_each_batch_system(system: BatchSystem, tmp_path: Path) ->
     assert "--tls" not in cluster.script
 
 
-@pytest.mark.parametrize("system", ["pbs", "lsf"])
+@pytest.mark.parametrize("system", ["pbs", pytest.param("lsf", marks=pytest.mark.slow)])
 def test_a_job_with_certificates_comes_up_and_is_cancelled(
     system: BatchSystem, jobs: Path, tmp_path: Path
 ) -> None:

@@ -31,6 +31,7 @@ def in_this_process(
 @pytest.mark.parametrize(
     "where", ["in this process", pytest.param("in processes", marks=pytest.mark.slow)]
 )
+@pytest.mark.slow
 def test_times_the_solver_at_two_sizes(
     where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -164,6 +164,7 @@ def copy(answered: Answering, tmp_path: Path) -> BlindSet:
     return BlindSet(shutil.copytree(blind.root, tmp_path / "set"))
 
 
+@pytest.mark.slow
 def test_diagnosis_can_be_limited_to_scans_along_y(
     answered: Answering, copy: BlindSet, tmp_path: Path
 ) -> None:

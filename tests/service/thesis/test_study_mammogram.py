@@ -38,6 +38,7 @@ def test_equal_constants_give_equal_mammograms(
     assert taken.fitted.log_attenuation.max() > 0.5
 
 
+@pytest.mark.slow
 def test_mammograms_depend_on_constants_and_view(
     case: dict[str, Any], found: dict[str, float], tmp_path: Path
 ) -> None:

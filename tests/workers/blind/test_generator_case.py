@@ -50,6 +50,7 @@ def body():
     return body_of(draw(3).anatomy, 800, 0.8)
 
 
+@pytest.mark.slow
 def test_truth_is_on_the_interfaces_in_the_scans(folder):
     case, hidden = made(folder, 4, "tilt")
     truth = np.load(hidden / "truth.npz")
@@ -119,6 +120,7 @@ def test_loads_move_the_body_more_than_noise_in_order_of_size(folder):
     assert 0.1 < shares[0] < shares[1] < 0.32
 
 
+@pytest.mark.slow
 def test_control_and_case_differ_only_in_their_scans(folder):
     cases = [made(folder, 4, kind)[0] for kind in ("tilt", "control")]
     for case in cases:

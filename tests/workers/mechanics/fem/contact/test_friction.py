@@ -122,6 +122,7 @@ def test_friction_hill():
     assert force == pytest.approx(exact, rel=0.03)
 
 
+@pytest.mark.slow
 def test_travel_converges_with_load_steps():
     model = body([(3, 3, 3)], box(200.0, 150.0, 100.0, origin=(-100.0, 0.0, 0.0)))
     c = {Tissue.FAT: Constants(0.005, 0.45)}

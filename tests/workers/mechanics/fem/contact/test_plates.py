@@ -297,6 +297,7 @@ def test_contact_without_edge_terms_is_convex():
     assert np.linalg.eigvalsh(rest)[0] > -1e-9 * np.abs(whole).max()
 
 
+@pytest.mark.slow
 def test_body_yields_smoothly_as_the_edge_recedes():
     """From no edge at all, over rows of nodes 4 mm apart."""
     model = body([(3, 4, 3), (6, 8, 6)], box(24.0, 32.0, 24.0, origin=(-12.0, 0.0, 0.0)))

@@ -20,7 +20,7 @@ READY := $(VENV)/.ready
 PYTHON ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-slow test-robustness bench docs kernels lint format constraints clean
+.PHONY: help demo quick test test-slow test-robustness bench docs kernels-breast kernels-others lint format constraints clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -38,7 +38,7 @@ quick: lint
 	$(BIN)/pytest -q -m "not slow" -n 2 --dist loadfile tests/workers/body tests/workers/comparison tests/service/search tests/storage $(LONG:%=--ignore=tests/%)
 
 test: $(READY)
-	@$(MAKE) --no-print-directory -j 2 lint kernels
+	@$(MAKE) --no-print-directory -j 2 kernels-breast lint kernels-others
 	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(READY)
@@ -54,8 +54,8 @@ docs: $(READY)
 	$(BIN)/mkdocs build --strict
 
 # Compiled once, rather than by both processes of the tests.
-kernels: $(READY)
-	$(BIN)/python -m tests.kernels
+kernels-breast kernels-others: kernels-%: $(READY)
+	$(BIN)/python -m tests.kernels $*
 
 lint: $(READY)
 	$(BIN)/ruff check .

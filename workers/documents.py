@@ -1,8 +1,8 @@
 """YAML and JSON documents of plain values without repeated keys.
 
-Both parsers keep the last of two equal keys and silently drop the first, so a force that is
-stated twice could be wrong without notice. Every file, upload and request is parsed here, into
-dict, list, str, int, float, bool and None; other tags of YAML are refused, and dates are texts.
+Both parsers keep the last of two equal keys and silently drop the first, so a force that is given
+twice could be wrong without anyone noticing. Every file, upload and request is parsed here, into
+dict, list, str, int, float, bool and None; other YAML tags are refused, and dates are read as text.
 Nesting, whole numbers and the expanded size of aliases are limited.
 """
 
@@ -26,11 +26,11 @@ _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster
 
 
 class _RepeatedKeyError(Exception):
-    """Repeated key, with its location."""
+    """A repeated key, with its location."""
 
 
 class StrictLoader(_Loader):
-    """Loader of safe YAML with plain values that refuses repeated keys."""
+    """Safe YAML loader for plain values that refuses repeated keys."""
 
     yaml_constructors = {  # noqa: RUF012 - as in its base class
         tag: make for tag, make in _Loader.yaml_constructors.items() if tag is None or tag in _PLAIN
@@ -49,7 +49,7 @@ class StrictLoader(_Loader):
             # 1 and "1" are the same key for later readers.
             key, line = str(self.construct_object(key_node)), key_node.start_mark.line + 1
             if key in lines:
-                raise _RepeatedKeyError(_repeated(key, f"in lines {lines[key]} and {line}"))
+                raise _RepeatedKeyError(_repeated(key, f"on lines {lines[key]} and {line}"))
             lines[key] = line
         mapping: dict[Hashable, Any] = super().construct_mapping(node, deep=deep)
         return mapping
@@ -58,7 +58,7 @@ class StrictLoader(_Loader):
         """Return the whole number of a node; see `yaml.SafeLoader`."""
         number: int = super().construct_yaml_int(node)
         if abs(number) > LARGEST_INT:
-            raise ValueError(f"a whole number in line {node.start_mark.line + 1} is too large")
+            raise ValueError(f"a whole number on line {node.start_mark.line + 1} is too large")
         return number
 
 
@@ -77,7 +77,7 @@ def parse_yaml(text: str, where: str) -> Any:
     Raises
     ------
     InputError
-        If it is not YAML, or a key is repeated.
+        If the text is not YAML, or a key is repeated.
     """
     try:
         _check_size(text, where)
@@ -93,7 +93,7 @@ def parse_yaml(text: str, where: str) -> Any:
 
 
 def is_too_deep(error: Exception) -> bool:
-    """Test whether libyaml, which limits the depth in newer versions, reports its limit."""
+    """Return True if the error is the depth limit of newer versions of libyaml."""
     return "maximum nesting depth" in str(error)
 
 
@@ -135,7 +135,7 @@ def parse_json(text: str | bytes, where: str) -> Any:
     Raises
     ------
     InputError
-        If it is not JSON, or a key is repeated.
+        If the text is not JSON, or a key is repeated.
     """
     try:
         return json.loads(text, object_pairs_hook=_object, parse_int=_whole)

@@ -23,9 +23,9 @@ _log = logging.getLogger(__name__)
 
 MIB = 2**20
 TEXT_BYTES = 16 * MIB
-"""Maximum size of a document: a study, a case, an experiment or a file of labels."""
+"""Maximum size of a document: a study, a case, an experiment or a label file."""
 _REASON = 300
-"""Maximum number of characters shown of a library's message."""
+"""Maximum number of characters of a library's message that are shown."""
 _allowed: ContextVar[Path | None] = ContextVar("folder that files may be in", default=None)
 
 
@@ -65,8 +65,8 @@ def check_allowed(path: Path, what: str = "") -> None:
     folder = _allowed.get()
     if folder is not None and not path.resolve().is_relative_to(folder):
         raise InputError(
-            f"{what or path.name} is outside of the uploaded folder. Upload all files of one input "
-            "to one folder, and give their names."
+            f"{what or path.name} is outside the uploaded folder. Upload all files of one input "
+            "to one folder, and refer to them by name."
         )
 
 
@@ -78,11 +78,11 @@ def check_regular(path: Path) -> None:
     check_allowed(path)
     try:
         mode = path.stat().st_mode
-    except (OSError, ValueError):  # the reader explains missing files
+    except (OSError, ValueError):  # the reader reports missing files
         return
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise InputError(
-            f"{path} is a pipe or a device, expected a file. Write the data to a file and give "
+            f"{path} is a pipe or a device; a file was expected. Write the data to a file and give "
             "its path."
         )
 
@@ -93,9 +93,9 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
     Raises
     ------
     InputError
-        If it is not a regular file, or is larger than `most_bytes`.
+        If the path is not a regular file, or the file is larger than `most_bytes`.
     OSError
-        If it cannot be read.
+        If the file cannot be read.
     """
     check_regular(path)
     if path.is_dir():
@@ -116,19 +116,19 @@ def read_text(path: Path, encoding: str = "utf-8-sig", most_bytes: int = TEXT_BY
     Raises
     ------
     UnicodeDecodeError
-        If it is not text in that encoding.
+        If the content is not text in that encoding.
     """
     return read_bytes(path, most_bytes).decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
 
 
 @contextmanager
 def reading(path: Path | str, kind: str) -> Iterator[None]:
-    """Convert any exception while input is read and checked to `InputError`.
+    """Convert any exception raised while reading and checking input to `InputError`.
 
     Parameters
     ----------
     path : Path or str
-        File, for the message.
+        Name of the file, for the message.
     kind : str
         Kind of file, such as ``"NRRD"`` or ``"an experiment"``.
     """
@@ -155,7 +155,7 @@ def reading(path: Path | str, kind: str) -> Iterator[None]:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return the message of an exception on one line, shortened, or else its type."""
+    """Return the message of an exception, shortened to one line, or else its type."""
     try:
         text = " ".join(str(error).split())
     except ValueError:  # it contains a number with too many digits

@@ -13,7 +13,7 @@ _SECTION = re.compile(r"Parameters\n-+\n(?P<body>.*?)(?:\n\n[A-Z]\w+\n-+|\Z)", r
 def key_descriptions(model: type[BaseModel]) -> dict[str, str]:
     """Return the descriptions of the keys of a model by field name.
 
-    They come from the fields, or from the section "Parameters" of the class docstrings.
+    They come from the fields, or from the "Parameters" sections of the class docstrings.
     """
     found: dict[str, str] = {}
     for cls in reversed(model.__mro__):

@@ -17,14 +17,14 @@ Pairs = tuple[tuple[str, ...], ...]
 
 
 def missing(text: str) -> PydanticCustomError:
-    """Return the validation error for missing required input."""
+    """Return the validation error for a missing required key."""
     return PydanticCustomError(MISSING, "{text}", {"text": text})
 
 
 def without_empty_keys(model: type[BaseModel], data: Mapping[Any, Any]) -> dict[Any, Any]:
     """Return `data` without empty keys for which null has no meaning.
 
-    An empty optional key then gets its default, and an empty required key counts as missing.
+    An empty optional key then takes its default, and an empty required key counts as missing.
     """
     nullable = _nullable_fields(model)
     return {key: v for key, v in data.items() if v is not None or key in nullable}
@@ -80,7 +80,7 @@ def missing_pairs(
 ) -> list[str]:
     """Return a line for each group of `model.exactly_one` without a key in `data`.
 
-    `empty` are the keys without a value in the file, which the user probably meant to fill in.
+    `empty` holds the keys without a value in the file, which the user probably meant to fill in.
     """
     pairs: Pairs = getattr(model, "exactly_one", ())
     return [
@@ -91,7 +91,7 @@ def missing_pairs(
 
 
 def errors_with_pairs(error: ValidationError, model: type[BaseModel]) -> list[Mapping[str, Any]]:
-    """Return the errors of pydantic, including missing groups of otherwise incomplete records.
+    """Return pydantic's errors, plus the missing groups of records that are otherwise incomplete.
 
     Pydantic checks these groups only if all fields of a record are present, but users want one
     complete list. A list that is too short only because its items are invalid is not an error.
@@ -116,7 +116,7 @@ def _has_more(place: tuple[Any, ...], places: Sequence[tuple[Any, ...]]) -> bool
 
 
 def one_of(keys: Sequence[str]) -> str:
-    """Return the request for exactly one of some keys.
+    """Return the instruction to give exactly one of several keys.
 
     Examples
     --------
@@ -127,7 +127,7 @@ def one_of(keys: Sequence[str]) -> str:
 
 
 def _none_of(model: type[BaseModel], keys: Sequence[str], empty: Collection[str]) -> str:
-    """Return the text about the first of `keys` if only that is empty, or else about all."""
+    """Return a message about the first of `keys` if only that one is empty, or else about all."""
     fields, (key, *others) = model.model_fields, keys
     if key in empty and not any(other in empty for other in others):
         return f"{key} is missing: {fields[key].description or key}; or give {' or '.join(others)}"

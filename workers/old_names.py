@@ -24,7 +24,7 @@ DIAGNOSIS: Final[Mapping[str, str]] = MappingProxyType(
 """Keys of a diagnosis, by their old names; ``[]`` means each entry of a list."""
 
 SAME_FIBRES: Final = {"eta_glandular_kpa": "eta_fat_kpa"}
-"""Addition to ``eta_fat_kpa`` if both tissues share one value, formerly ``eta_kpa``."""
+"""Key added to ``eta_fat_kpa`` if both tissues share one value, formerly ``eta_kpa``."""
 
 
 def with_current_names(data: Mapping[str, Any], where: str = "") -> dict[str, Any]:
@@ -33,9 +33,9 @@ def with_current_names(data: Mapping[str, Any], where: str = "") -> dict[str, An
     Parameters
     ----------
     data : mapping
-        As read from YAML or JSON; it is not changed.
+        A diagnosis as read from YAML or JSON; it is not modified.
     where : str, optional
-        Name of the file, for a log message about each old name; records of a store get none.
+        Name of the file, for a log message about each old name; omit it for records in a store.
     """
     tree = _copied(data)
     for old, new in DIAGNOSIS.items():
@@ -51,7 +51,7 @@ def with_current_names(data: Mapping[str, Any], where: str = "") -> dict[str, An
 
 
 def with_recorded_names(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a diagnosis with the names used by its record in a store."""
+    """Return a diagnosis with the key names used in its stored record."""
     tree = _copied(data)
     constants = tree["constants"]
     same = all(constants.get(key) == value for key, value in SAME_FIBRES.items())

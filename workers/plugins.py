@@ -65,8 +65,8 @@ class Plugin:
             return getattr(import_module(self.module), self.attribute)
         except (ImportError, AttributeError) as error:
             raise InputError(
-                f"The plug-in {self.words} cannot be imported: {error}. Install a version that "
-                "fits, or remove it."
+                f"The plug-in {self.words} cannot be imported: {error}. Install a compatible "
+                "version, or remove it."
             ) from error
 
 
@@ -84,7 +84,7 @@ def plugins(group: Group) -> dict[str, Plugin]:
         other = found.get(plugin.name)
         if other is not None and other != plugin:
             raise InputError(
-                f"The name {plugin.name!r} ({group}) is offered by {other.distribution} and by "
+                f"The name {plugin.name!r} ({group}) is provided by {other.distribution} and by "
                 f"{plugin.distribution}. Remove one of them."
             )
         found[plugin.name] = plugin

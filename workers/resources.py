@@ -43,14 +43,15 @@ class OneThread(WorkerPlugin):
         if os.environ.get("OPENBLAS_NUM_THREADS", os.environ.get("OMP_NUM_THREADS")) != "1":
             _log.warning(
                 "The worker %s was started without OMP_NUM_THREADS=1 and OPENBLAS_NUM_THREADS=1: "
-                "parallel evaluations may slow each other down. Set them where it is started.",
+                "parallel evaluations may slow each other down. Set them in the environment that "
+                "starts it.",
                 worker.name,
             )
         os.environ.update(WORKER_ENVIRONMENT)
 
 
 def worker_name() -> str:
-    """Return the name of the Dask worker that runs this code, or else host and process id."""
+    """Return the name of the current Dask worker, or else the host name and process id."""
     try:
         return str(get_worker().name)
     except ValueError:
@@ -63,8 +64,8 @@ class Cache:
     Parameters
     ----------
     capacity_bytes : int
-        Limit of the total size of all arrays; the least recently used values are evicted
-        above it. The newest value is kept, whatever its size.
+        Limit on the total size of all arrays; above it, the least recently used values are evicted.
+        The newest value is kept, whatever its size.
 
     Notes
     -----
@@ -121,7 +122,7 @@ CACHE = Cache()
 
 
 def size_bytes(value: object) -> int:
-    """Return the bytes of all arrays in a value: dataclasses, containers, functions, objects.
+    """Return the total bytes of all arrays in a dataclass, container, function or object.
 
     An array that occurs twice is counted once.
     """

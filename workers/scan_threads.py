@@ -16,7 +16,7 @@ Each: TypeAlias = Callable[..., Iterable[Any]]
 
 @contextmanager
 def scan_threads(threads: int) -> Iterator[Each]:
-    """Provide a `map` over scans that uses at most so many threads.
+    """Provide a `map` over scans that uses at most `threads` threads.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Keys of a study that are common to all organs, and their validation.
 
 The unit is part of every key. An unknown key is refused with a suggestion; `explain`
-converts pydantic's errors to a text for the user, and `validated` raises it as an
+converts pydantic's errors to a message for the user, and `validated` raises it as an
 `InputError`. The keys of one organ are in its own ``spec.py``.
 """
 
@@ -121,7 +121,7 @@ class CaseSpec(Door):
     reference
         The undeformed body.
     constants
-        Values of constants that are held, such as ``nu: 0.49``.
+        Values of constants that are held fixed, such as ``nu: 0.49``.
     """
 
     organ: str
@@ -129,7 +129,7 @@ class CaseSpec(Door):
     constants: dict[str, float] = Field(default_factory=dict)
 
     law_tissues: ClassVar[tuple[str, ...]] = ()
-    """Tissues for which a case chooses a law of `workers.mechanics.materials.law_plugins`."""
+    """Tissues for which a case chooses a law from `workers.mechanics.materials.law_plugins`."""
 
     def __repr__(self) -> str:
         held = [f"{name} {value:.4g}" for name, value in self.constants.items()]
@@ -152,7 +152,7 @@ class CaseSpec(Door):
 
     @abstractmethod
     def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
-        """Return all constants in internal names and units: given, stated in the case, or neutral.
+        """Return all constants, in internal names and units: given, set in the case, or neutral.
 
         Raises
         ------
@@ -166,7 +166,7 @@ class CaseSpec(Door):
         Parameters
         ----------
         searched : collection of str
-            Names inside of the parameters that are not held.
+            Internal names of the parameters that are not held.
         """
         return []
 
@@ -195,19 +195,19 @@ class CaseSpec(Door):
         Parameters
         ----------
         searched : collection of str
-            Names inside of the parameters that are not held.
+            Internal names of the parameters that are not held.
         """
         return "absolute"
 
     def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
-        """Return the searched stiffnesses whose common factor has no effect.
+        """Return the searched stiffnesses whose common scale factor has no effect.
 
         Only their ratios are identifiable. None by default.
 
         Parameters
         ----------
         searched : sequence of str
-            Names inside.
+            Internal names.
         """
         return ()
 
@@ -255,17 +255,17 @@ class ScoreSpec(Door):
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Return the names of the compared parts, as in `Organ.scores_by_part`."""
+        """Return the names of the compared parts, as used by `Organ.scores_by_part`."""
         return ()
 
     @property
     def compared(self) -> str:
-        """Return the compared parts in words: ``glandular tissue``."""
+        """Return the compared parts in words, such as ``glandular tissue``."""
         return " and ".join(self.parts)
 
     @property
     def extent(self) -> tuple[str, str]:
-        """Return the words for overlap and distance."""
+        """Return the organ's words for overlap and distance."""
         return "area", "contours"
 
 
@@ -287,7 +287,7 @@ def validated(model: type[Record], data: Any, where: str = "") -> Record:
     Raises
     ------
     InputError
-        Lists every invalid key with the value found and the expected one.
+        If any key is invalid; lists each with the value found and the value expected.
     """
     try:
         return model.model_validate(data)

@@ -42,7 +42,7 @@ BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
         "a: 1\n---\nb: 2",
     ],
 )  # fmt: skip
-def test_refuses_other_values(text: str) -> None:
+def test_refuses_invalid_yaml(text: str) -> None:
     began = time.monotonic()
     with pytest.raises(InputError, match=r"^The file"):
         parse_yaml(text, "The file")
@@ -52,7 +52,7 @@ def test_refuses_other_values(text: str) -> None:
 @pytest.mark.parametrize(
     "text", ["[" * 100_000, '{"a":' * 100_000, '{"a": ' + "9" * 19 + "}", "9" * 5000, '{"a": 1,}']
 )
-def test_refuses_other_json(text: str) -> None:
+def test_refuses_invalid_json(text: str) -> None:
     with pytest.raises(InputError, match=r"^The file"):
         parse_json(text, "The file")
 

@@ -33,9 +33,9 @@ def test_named_files_stay_in_the_folder_of_an_upload(tmp_path: Path) -> None:
     with confined_to(folder):
         assert named_by(case, "a.csv") == folder / "a.csv"
         for name in outside:
-            with pytest.raises(InputError, match="outside of the uploaded folder"):
+            with pytest.raises(InputError, match="outside the uploaded folder"):
                 named_by(case, name)
-        with pytest.raises(InputError, match="outside of the uploaded folder"):
+        with pytest.raises(InputError, match="outside the uploaded folder"):
             read_bytes(tmp_path / "secret.csv", 100)
     with pytest.raises(InputError, match="not a valid file name"):
         named_by(case, "a\0b")
@@ -56,7 +56,7 @@ def test_only_regular_files_of_a_limited_size_are_read(tmp_path: Path) -> None:
         read_bytes(tmp_path, 3)
 
 
-def test_whatever_a_reader_raises_becomes_one_message() -> None:
+def test_any_exception_from_a_reader_becomes_one_message() -> None:
     class UnprintableError(ValueError):
         def __str__(self) -> str:
             return str(10**5000)
@@ -86,7 +86,7 @@ def test_whatever_a_reader_raises_becomes_one_message() -> None:
 
 
 @pytest.mark.parametrize("name", ["case.yaml", "case.json", "case.yml"])
-def test_a_pipe_is_no_case(tmp_path: Path, name: str) -> None:
+def test_refuses_a_pipe_as_a_case(tmp_path: Path, name: str) -> None:
     os.mkfifo(tmp_path / name)
     for read in (open_source, understood):
         with pytest.raises(InputError, match="a pipe or a device"):
@@ -105,8 +105,8 @@ search: {{parameters: {{mu1_pa: [5000, 20000]}}, population: 12}}
 
 
 @pytest.mark.parametrize("name", ["pipe.png", "device.png"])
-def test_a_pipe_is_no_frame(tmp_path: Path, name: str) -> None:
-    """Neither here nor on the way to a service."""
+def test_refuses_a_pipe_as_a_frame(tmp_path: Path, name: str) -> None:
+    """Both the local check and the upload to a service refuse it."""
     frame = tmp_path / name
     if name == "pipe.png":
         os.mkfifo(frame)

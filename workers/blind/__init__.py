@@ -1,1 +1,1 @@
-"""Test cases with known truth: another solver, other forms of every effect, sealed noise."""
+"""Test cases with known truth, from another solver, with other forms of each effect."""

@@ -4,8 +4,8 @@ Every coordinate is stretched by a wave through the body,
 
 .. math:: x_i' = x_i \, (1 + a \sin(k_i \cdot s + \varphi_i)) ,
 
-with s the position in semi-axes of the ellipsoids; then each side is scaled back to its original
-extent, so that plates start at the same distances. The chest wall stays in its plane.
+with s the position in units of the ellipsoids' semi-axes; then each side is scaled back to its
+original extent, so that the plates start at the same distances. The chest wall stays in its plane.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ class BodyShape:
     phases: Triple
 
     def moved(self, points: FloatArray) -> FloatArray:
-        """Return displaced points (n, 3) of a body; their extremes stay in place."""
+        """Return the displaced points (n, 3) of a body; their bounding box is unchanged."""
         s = points / np.abs(points).max(axis=0)
         factors = 1 + self.amplitude * np.sin(s @ np.array(self.waves).T + self.phases)
         stretched = points * factors
@@ -65,7 +65,7 @@ def draw_shape(rng: Rng) -> BodyShape:
 
 
 def reshaped(body: Body, shape: BodyShape) -> Body:
-    """Return the body, labels and mesh, in another shape."""
+    """Return the body, both labels and mesh, in another shape."""
     mesh = body.mesh
     corners = shape.moved(mesh.nodes[: mesh.corners])
     other = quadratic(corners, mesh.cells[:, :4], 0.0)

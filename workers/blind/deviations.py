@@ -1,9 +1,9 @@
-"""Deviations from the nominal model that every case has, whatever its cause.
+"""Deviations from the nominal model that are present in every case, whatever its cause.
 
-In the plain world there are none. In the hard one, as in a clinic, everything is slightly off:
+In the plain world there are none. In the hard world, as in a clinic, everything is slightly off:
 the constants that a diagnosis holds fixed, the springs of the chest wall, the axis of the fibres,
-the positions of the scans, the quality of their segmentation and the pieces missed or added by
-it; and bodies are not ellipsoids.
+the positions of the scans and the quality of their segmentation, which misses or adds pieces; and
+bodies are not ellipsoids.
 """
 
 from collections.abc import Callable
@@ -18,36 +18,36 @@ from palpate.workers.blind.scene import NU, Scene
 from palpate.workers.blind.world import World
 
 SHIFT_SD_MM = TURN_SD_DEG = 0.3
-# Deviations of fixed constants, so small that their consequences stay within the noise. Springs
-# at the wall that are weaker by a third move a body by more than a millimetre.
+# Deviations of fixed constants, so small that their consequences stay within the noise. Weakening
+# the springs at the wall by a third moves a body by more than a millimetre.
 NU_OFF, SPRINGS_OFF, FIBRE_TILT_SD_DEG = 0.002, 0.03, 0.3
 
 Pose = tuple[float, float, float, float, float, float]
-"""Shift along x, y and z in mm, then turn about these axes in degrees."""
+"""Shift along x, y and z in mm, then rotation about these axes in degrees."""
 
 
 @dataclass(frozen=True, slots=True)
 class Deviations:
-    """Deviations of one case.
+    """The deviations of one case.
 
     Parameters
     ----------
     nu : float
         Poisson's ratio of all tissue.
     wall_spring_factor : float
-        Factor on the stated springs along the chest wall.
+        Factor on the given springs along the chest wall.
     fibre_tilt_deg : tuple of float
         Tilt of the axis of all fibres, about x and about y.
     noise_factor : float
-        True deviation of the segmentation over the stated one.
+        Ratio of the true segmentation noise to the given value.
     ln_noise_at_wall : float
-        ln of the ratio of this noise at the chest wall to the noise at the nipple.
+        ln of the ratio of this noise at the chest wall to that at the nipple.
     poses : tuple of Pose
         Pose of each loaded scan; empty if the positions in the headers are right.
     pieces : int
-        Number of pieces of gland that are missed in every scan, and of those added.
+        Number of pieces of gland missed in every scan, and also of pieces added.
     shape : BodyShape or None
-        Shape that is not an ellipsoid.
+        Waves that change the ellipsoids; None for ellipsoids.
     """
 
     nu: float = NU
@@ -68,7 +68,7 @@ class Deviations:
         return replace(scene, nu=self.nu, wall_spring_factor=springs, fibres=fibres)
 
     def posed(self, scan: int, places: FloatArray) -> FloatArray:
-        """Return points (n, 3) of a loaded scan in its wrong pose, turned about their centre."""
+        """Return points (n, 3) of a loaded scan in its wrong pose, rotated about their centre."""
         if not self.poses:
             return places
         pose = np.array(self.poses[scan])
@@ -77,7 +77,7 @@ class Deviations:
 
 
 def draw_deviations(world: World, rng: Rng, scans: int) -> Deviations:
-    """Draw the deviations of one case with some number of loaded scans."""
+    """Draw the deviations of one case with the given number of loaded scans."""
     if world is World.plain:
         return Deviations()
     tilt_x, tilt_y = (round(a, 3) for a in rng.normal(0, FIBRE_TILT_SD_DEG, 2))
@@ -112,7 +112,7 @@ def _tilted(
 
 
 def _rotation(degrees: FloatArray) -> FloatArray:
-    """Return the matrix of a rotation about the vector `degrees`, by its length."""
+    """Return the matrix of a rotation about the vector `degrees`, whose length is the angle."""
     angle = float(np.radians(np.linalg.norm(degrees)))
     if angle == 0:
         return np.eye(3)

@@ -1,4 +1,4 @@
-"""Fine linear tetrahedra that follow the curved faces of a quadratic body."""
+"""Fine linear tetrahedra that follow the curved faces of a quadratic mesh."""
 
 from dataclasses import dataclass
 
@@ -14,14 +14,14 @@ SAME_MM = 1e-6  # nodes closer than this are merged
 
 @dataclass(frozen=True, eq=False)
 class FineMesh:
-    """Linear tetrahedra, and the interpolation matrix from the quadratic nodes to theirs."""
+    """Linear tetrahedra, and the interpolation matrix from the quadratic nodes to their nodes."""
 
     mesh: TetMesh
     interpolation: csr_matrix
 
 
 def fine_mesh_of(mesh: QuadraticMesh) -> FineMesh:
-    """Cut every element into eight parts, and each of those into eight."""
+    """Cut every element into eight parts, and each part into eight again."""
     places, tets = _cut(HALVINGS)
     shapes = np.hstack(
         [places * (2 * places - 1), 4 * places[:, EDGES[:, 0]] * places[:, EDGES[:, 1]]]
@@ -39,8 +39,8 @@ def fine_mesh_of(mesh: QuadraticMesh) -> FineMesh:
 
 
 def _cut(halvings: int) -> tuple[FloatArray, IntArray]:
-    """Return the barycentric coordinates of the nodes in an element, and its parts."""
-    # Four at the corners; the remaining octahedron is cut along the line from 4 to 9.
+    """Return the barycentric coordinates of the nodes in a cut element, and its parts."""
+    # Four parts are at the corners; the remaining octahedron is cut along the line from 4 to 9.
     parts = np.array([
         [0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3],
         [4, 9, 6, 7], [4, 9, 7, 8], [4, 9, 8, 5], [4, 9, 5, 6],

@@ -1,4 +1,4 @@
-"""Solution of a scene under a sequence of loads."""
+"""Solutions of a scene under a sequence of loads."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,15 +20,15 @@ from palpate.workers.blind.solver.system import State, System, Topology, Wall
 SAG_ARM_MM = 50.0
 TOUCH_MM = 0.3  # the plates start a little closer than the body, so that they touch it
 FRICTION_STEPS = 3
-STEPS = (1, 4, 12)  # tried one after the other, without friction
-# Like `newton.FORCE_TOLERANCE`, with friction: at the loads, and at the steps between them.
+STEPS = (1, 4, 12)  # without friction, tried one after the other
+# Like `newton.FORCE_TOLERANCE`, but with friction: at the loads, and at steps between them.
 FRICTION_TOLERANCE, FRICTION_TOLERANCE_BETWEEN = 3e-4, 1.5e-3
 IN_AXES = {"y": ((1, 0, 0), (0, 0, 1), (0, 1, 0)), "x": ((0, -1, 0), (0, 0, 1), (1, 0, 0))}
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """One loaded scan: displacement (n, 3) and travel of the upper plate, in mm."""
+    """Solution of one loaded scan: displacement (n, 3) and travel of the upper plate, in mm."""
 
     load: Load
     displacement_mm: FloatArray
@@ -45,12 +45,12 @@ def plate_starts(anatomy: Anatomy, axis: str) -> tuple[float, float]:
 def solve_scene(
     scene: Scene, topology: Topology, labels: Volume, loads: Sequence[Load]
 ) -> list[Solution]:
-    """Find the equilibria of all loads; loads of one axis in order, each from the previous one.
+    """Find the equilibria of all loads, along each axis in order, each from the previous one.
 
     Raises
     ------
     NoEquilibriumError
-        If one is not found, even in small steps.
+        If an equilibrium is not found, even in small steps.
     """
     materials = materials_of(scene, topology.mesh, labels)
     solutions: list[Solution] = []
@@ -77,7 +77,7 @@ def _system(scene: Scene, topology: Topology, materials: ElementMaterials, axis:
 
 
 def tether_of(scene: Scene, skin: Skin) -> FloatArray | None:
-    """Return the springs at the points of the skin in MPa/mm, shape (k, 6); None without any."""
+    """Return the springs at the points of the skin in MPa/mm, shape (k, 6), or None."""
     if scene.skin_grip is None:
         return None
     return scene.skin_grip(skin.places.reshape(-1, 3)).reshape(skin.areas.shape) / 1e3
@@ -105,7 +105,7 @@ def plates_of(scene: Scene, axis: str) -> tuple[Plate, Plate]:
     pivot = np.asarray(scene.anatomy.centre_mm)
     lower, upper = plate_starts(scene.anatomy, axis)
     depth, across = np.tan(np.radians(scene.tilt_deg))
-    # Rotations about the in-plane axes by the right-hand rule.
+    # Rotations about the in-plane axes follow the right-hand rule.
     slopes = np.array([across, -depth])
     edge = scene.plate_edge_mm
     level = Plate(frame, pivot, lower, -1.0, np.zeros(2), 0.0, SAG_ARM_MM, edge)
@@ -124,7 +124,7 @@ def _load_sequence(system: System, scene: Scene, loads: list[Load]) -> Iterable[
 
 
 def _first_contact_travel(system: System) -> float:
-    """Return a travel slightly beyond first contact of the upper plate with the body."""
+    """Return a travel slightly beyond the first contact of the upper plate with the body."""
     plate, places = system.plates[1], system.topology.skin.places.reshape(-1, 3)
     places = places[places @ plate.frame[1] > plate.edge_mm + EDGE_FADE_MM]
     s1, s2 = ((places - plate.pivot_mm) @ plate.frame[:2].T).T
@@ -134,10 +134,10 @@ def _first_contact_travel(system: System) -> float:
 
 
 def _load(newton: Newton, state: State, before: float, force: float) -> State:
-    """Step from one force to a larger one; with friction, or if one step fails, in several.
+    """Load from one force to a larger one; with friction, or if one step fails, in several steps.
 
-    Tissue growth and the rise of the chest wall come with the first force: applied all at once,
-    they may have no equilibrium.
+    Tissue growth and the rise of the chest wall are applied gradually with the first force: applied
+    all at once, they may have no equilibrium.
     """
     counts = (FRICTION_STEPS,) if newton.system.has_friction else STEPS
     for count in counts:
@@ -150,7 +150,7 @@ def _load(newton: Newton, state: State, before: float, force: float) -> State:
 
 
 def _steps(newton: Newton, state: State, ends: tuple[float, float], count: int) -> State:
-    """Step from one force to another in `count` steps of equal size."""
+    """Go from one force to another in `count` equal steps."""
     system = newton.system
     for part in np.linspace(0, 1, count + 1)[1:].tolist():
         tolerance = FORCE_TOLERANCE

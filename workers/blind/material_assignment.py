@@ -1,7 +1,7 @@
 """Material constants of the elements of a scene.
 
-Tissue is not constant in an element: each of its four points gets the mean modulus of the
-quarter of the element around it, sampled from the voxels.
+Tissue varies within an element: each of its four points gets the mean modulus of the quarter of the
+element around it, sampled from the voxels.
 """
 
 import numpy as np
@@ -39,7 +39,7 @@ def materials_of(scene: Scene, mesh: QuadraticMesh, labels: Volume) -> ElementMa
     ----------
     scene : Scene
     mesh : QuadraticMesh
-        m elements.
+        Mesh of m elements.
     labels : Volume
         `Tissue` labels of the undeformed body.
     """

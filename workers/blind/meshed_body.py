@@ -9,7 +9,7 @@ from palpate.workers.body.mesh.hierarchy import build_hierarchy
 from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
 
 SPACING_MM = 0.8
-CORNERS = 2000  # of the tetrahedra; with the mid-edge nodes about 14,000 nodes
+CORNERS = 2000  # of the tetrahedra; about 14,000 nodes including mid-edge nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ def body_of(anatomy: Anatomy, corners: int = CORNERS, spacing_mm: float = SPACIN
     ----------
     anatomy : Anatomy
     corners : int
-        Wanted number of corner nodes, met within 10 %.
+        Desired number of corner nodes, met within 10 %.
     spacing_mm : float
         Edge of the voxels.
 

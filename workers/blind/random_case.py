@@ -1,4 +1,4 @@
-"""Random cases: a fixed table of kinds, everything else drawn from a seed."""
+"""Random cases: a fixed table of kinds, with everything else drawn from a seed."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -62,7 +62,7 @@ OTHERS: Final[Mapping[type[Cause], float]] = MappingProxyType(
 )
 CONTROL, PAIR, TRIPLE = "control", "pair", "triple"
 TOGETHER: Final[Mapping[str, int]] = MappingProxyType({PAIR: 2, TRIPLE: 3})
-"""Number of causes of the kinds with several; no two of them have the same effect."""
+"""Number of causes of the kinds with several; no two causes have the same effect."""
 
 KINDS: Final[Mapping[str, float]] = MappingProxyType(
     {CONTROL: 0.18, PAIR: 0.10, TRIPLE: 0.04}
@@ -73,8 +73,8 @@ KINDS: Final[Mapping[str, float]] = MappingProxyType(
 
 BY_KIND: Final = {cause.kind: cause for cause in (*SINGLES, *OTHERS)}
 AXES: Final = ("y", "x")
-# Compress a body of 20 mm mean half section by some 15 and 25 %, in N. Along its longer axis a
-# breast between smooth plates slips aside under larger forces.
+# Forces in N that compress a body of 20 mm mean half section by some 15 and 25 %. Under larger
+# forces along its longer axis, a breast slips sideways out of smooth plates.
 FORCES_N: Final = MappingProxyType({"y": (15.0, 32.0), "x": (10.0, 20.0)})
 
 
@@ -88,7 +88,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Truth:
-    """Description of a case before it is made: the correct diagnosis.
+    """Description of a case before it is made, including the correct diagnosis.
 
     Parameters
     ----------
@@ -96,13 +96,13 @@ class Truth:
     kind : str
         One of `KINDS`.
     causes : tuple of Cause
-        None for a control, two for a pair, three for a triple.
+        Empty for a control, two for a pair, three for a triple.
     anatomy : Anatomy
     constants : Constants
     loads : tuple of Load
-        The loaded scans in order.
+        Loads of the loaded scans, in order.
     noise_sd_mm : float
-        Stated noise of the segmentation of every scan.
+        Given segmentation noise of every scan.
     deviations : Deviations
         Deviations other than the causes.
     """
@@ -118,7 +118,7 @@ class Truth:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Return the catalogue names of the causes' effects; causes without one are left out."""
+        """Return the catalogue names of the causes' effects; causes without one are omitted."""
         return tuple(c.effect for c in self.causes if c.effect is not None)
 
     @property
@@ -128,7 +128,7 @@ class Truth:
 
     @property
     def catalogued(self) -> bool:
-        """Return True if the catalogue of a diagnosis has every cause."""
+        """Return True if every cause is in the catalogue of a diagnosis."""
         return all(c.effect is not None for c in self.causes)
 
     @property
@@ -165,15 +165,15 @@ def draw(
     one_direction: bool = False,
     world: World = World.plain,
 ) -> Truth:
-    """Draw the case of a seed.
+    """Draw the case for a seed.
 
     Parameters
     ----------
     seed : int
-        Not negative. Equal seeds give equal cases; the body, the constants and the forces
-        do not depend on the kind.
+        A number >= 0. Equal seeds give equal cases; the body, the constants and the forces do not
+        depend on the kind.
     kind : str, optional
-        One of `KINDS`; drawn by their shares where none is given.
+        One of `KINDS`; drawn according to their shares by default.
     one_direction : bool
         Use only plates normal to y.
     world : World
@@ -187,7 +187,7 @@ def draw(
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise InputError(f"The seed of a case must be a whole number >= 0, got {seed!r}.")
     if kind is not None and kind not in KINDS:
-        raise InputError(f"No case is of the kind {kind!r}; use one of {', '.join(KINDS)}.")
+        raise InputError(f"There are no cases of the kind {kind!r}; use one of {', '.join(KINDS)}.")
     streams = np.random.SeedSequence(seed).spawn(4)
     body, choice, size, off = (np.random.default_rng(stream) for stream in streams)
     anatomy = _anatomy(body)
@@ -232,7 +232,7 @@ def _anatomy(rng: np.random.Generator) -> Anatomy:
 
 
 def _loads(rng: np.random.Generator, anatomy: Anatomy) -> list[Load]:
-    """Return two forces for either axis, proportional to the compressed section."""
+    """Return two forces for each axis, proportional to the compressed section."""
     length, width, depth = (2 * h for h in anatomy.half_mm)
     section = {"y": length * depth / (160 * 53), "x": width * depth / (90 * 53)}
     return [

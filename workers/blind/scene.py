@@ -1,6 +1,6 @@
 """The nominal physics of a breast between plates, and its possible deviations.
 
-Distances are in mm; stiffness is given by factors and lengths, so only the wall's springs have a
+Distances are in mm; stiffnesses are given by factors and lengths, so only the wall's springs have a
 unit of stress.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from palpate.storage.values import FloatArray, Triple
 
 Field = Callable[[FloatArray], FloatArray]
-"""From points (k, 3) in mm to a number at each of them, (k,)."""
+"""Function from points (k, 3) in mm to a number at each point, (k,)."""
 
 WALL_SPRING_KPA_PER_MM = 0.2
 NU = 0.49
@@ -26,7 +26,7 @@ class Anatomy:
     Parameters
     ----------
     seed : int
-        Seed of the compartments.
+        Seed from which the compartments are generated.
     lower_mm, upper_mm, half_width_mm, depth_mm : float
         Semi-axes below and above the nipple (x), across (y) and deep (z).
     compartments : int
@@ -48,18 +48,18 @@ class Anatomy:
 
     @property
     def half_mm(self) -> Triple:
-        """Return half the sides of that box."""
+        """Return half the side lengths of the bounding box."""
         return (self.upper_mm + self.lower_mm) / 2, self.half_width_mm, self.depth_mm / 2
 
     def normalised(self, points: FloatArray) -> FloatArray:
-        """Scale points (k, 3) to -1 and 1 on the faces of the box."""
+        """Scale points (k, 3) so that the faces of the bounding box are at -1 and 1."""
         return np.asarray((points - self.centre_mm) / np.asarray(self.half_mm))
 
     def skin(self, count: int = 4000) -> tuple[FloatArray, FloatArray]:
-        """Return points (count, 3) spread over the ellipsoids, and the area of each in mm^2.
+        """Return points (count, 3) spread over the ellipsoids, and the area around each in mm^2.
 
-        On the unit sphere they are a Fibonacci lattice; a point n has the area ``det A |A^-1 n|``
-        times its area on the sphere, A the diagonal matrix of the semi-axes.
+        On the unit sphere they are a Fibonacci lattice; the area of a point n is ``det A |A^-1 n|``
+        times its area on the sphere, with A the diagonal matrix of the semi-axes.
         """
         z = (np.arange(count) + 0.5) / count
         turn = np.pi * (1 + math.sqrt(5)) * np.arange(count)
@@ -76,7 +76,7 @@ class Anatomy:
         return np.asarray((1 - scaled) * axes.min(axis=1))
 
     def _axes(self, points: FloatArray) -> FloatArray:
-        """Return the semi-axes of the ellipsoid of each point (k, 3), (k, 3)."""
+        """Return the semi-axes (k, 3) of the ellipsoid that contains each point (k, 3)."""
         along = np.where(points[:, 0] < 0, self.lower_mm, self.upper_mm)
         others = np.full((len(points), 2), (self.half_width_mm, self.depth_mm))
         return np.column_stack([along, others])
@@ -84,7 +84,7 @@ class Anatomy:
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """Constants unknown to a diagnosis, in kPa."""
+    """Constants to be found by a diagnosis, in kPa."""
 
     E_fat_kpa: float
     E_gl_kpa: float
@@ -93,7 +93,7 @@ class Constants:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Complete input of a solution; by default, the nominal physics.
+    """Complete input of the solver; by default, the nominal physics.
 
     Parameters
     ----------
@@ -102,12 +102,12 @@ class Scene:
     gravity_g : tuple of float
         Gravity of the loaded scans minus gravity of the reference scan.
     force_factor : float
-        Share of the plate's force that the body carries.
+        Fraction of the plate's force that the body carries.
     tilt_deg : tuple of float
         Tilt of the upper plate, about the first in-plane axis (the axis of compression x z)
         and about z.
     sag_mm : float
-        Distance by which the upper plate bends away, 50 mm across from its pivot.
+        Distance by which the upper plate is bent away, 50 mm across from its pivot.
     plate_edge_mm : float
         z at which both plates start.
     friction : tuple of Field
@@ -117,21 +117,22 @@ class Scene:
     wall_rise_mm : Field or None
         Forward motion of the chest wall before compression.
     wall_grip : Field or None
-        Springs along the chest wall on top of the nominal ones, in kPa/mm.
+        Springs along the chest wall in addition to the nominal ones, in kPa/mm.
     skin_grip : Field or None
         Springs on the skin along all axes, in kPa/mm.
     ln_stiffness : tuple of Field
         ln of factors on all moduli.
     fibres : callable or None
-        From points (k, 3) to unit vectors (k, 3).
+        Function from points (k, 3) to unit vectors (k, 3).
     ln_gland_fibres : Field or None
-        ln of the ratio of the fibres' stiffness in glandular tissue to that in fat.
+        ln of the ratio of the fibres' stiffness in glandular tissue to their stiffness in fat.
     fung : float
         Exponent of Fung's law.
     growth : tuple of callable
-        From points (k, 3) and their glandular flags (k,) to stress-free stretches, minus 1.
+        Functions from points (k, 3) and their glandular flags (k,) to stress-free stretches minus
+        1.
     skin_n_per_m : float
-        E t of the skin.
+        Tensile stiffness E t of the skin.
     segmentation_mm : tuple of float
         Distances by which the outline and the glandular labels of the loaded scans extend too far.
     image_scale : tuple of float
@@ -166,6 +167,6 @@ class Scene:
     wall_spring_factor: float = 1.0
 
     def drawn(self, places: FloatArray) -> FloatArray:
-        """Return positions in a loaded scan of material at these points (n, 3)."""
+        """Return the positions of points (n, 3) as drawn in a loaded scan."""
         away = places - np.asarray(self.anatomy.centre_mm)
         return np.asarray(places + np.asarray(self.image_scale) * away)

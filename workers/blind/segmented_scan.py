@@ -1,8 +1,8 @@
 r"""Segmented scans of a body: voxel labels with segmentation errors.
 
-A blurred label is the normal distribution of the distance to its boundary, so
-:math:`d = \sigma \Phi^{-1}(v)` gives a distance finer than the size of a voxel. The boundary is
-moved along its normal by a random field with two correlation lengths.
+A blurred label is the normal distribution function of the distance to its boundary, so :math:`d =
+\sigma \Phi^{-1}(v)` gives the distance to within less than a voxel. The boundary is moved along its
+normal by a random field with two correlation lengths.
 """
 
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ MARGIN_MM = 6.0
 # Half of the variance each; together similar to a single length of 4 mm.
 LENGTHS_MM = (3.4, 4.8)
 PIECE_RADIUS_MM = (3.0, 5.0)
-# Share of a boundary's scatter that survives voxels of 0.8 mm and the blur of an observer.
+# Fraction of a boundary's scatter left after voxels of 0.8 mm and the blur of an observer.
 KEPT = 0.93
 
 
@@ -36,9 +36,9 @@ class Segmenter:
     outline_mm, glandular_mm : float
         Distances by which all labels, and the glandular ones, extend too far.
     ln_at_wall : float
-        ln of the ratio of the scatter at the chest wall to that at the nipple.
+        ln of the ratio of the scatter at the chest wall to the scatter at the nipple.
     pieces : int
-        Number of pieces of gland that are missed, and of those added.
+        Number of pieces of gland missed, and also of pieces added.
     """
 
     sd_mm: float
@@ -49,10 +49,10 @@ class Segmenter:
 
 
 def glandular_share(labels: Volume) -> Volume:
-    """Blur glandular labels, half at their boundary, with a margin; air gets the nearest tissue.
+    """Blur glandular labels to 0.5 at their boundary, with air assigned to the nearest tissue.
 
-    The extent of a deformed body is then determined by the elements alone. If the voxels cut it
-    too, it would lose about a tenth of a voxel all around.
+    With a margin around the labels, the elements alone determine the extent of a deformed body. If
+    the voxels cut it too, it would lose about a tenth of a voxel all around.
     """
     wide = padded(labels, MARGIN_MM)
     _, (z, y, x) = ndimage.distance_transform_edt(
@@ -69,7 +69,7 @@ def deformed_labels(share: Volume, fine: FineMesh, displacement_mm: FloatArray) 
     Parameters
     ----------
     share : Volume
-        Share of the undeformed body, from `glandular_share`.
+        Glandular share of the undeformed body, from `glandular_share`.
     fine : FineMesh
     displacement_mm : ndarray, shape (n, 3)
     """
@@ -125,7 +125,7 @@ def _redrawn(
     offset_mm: float,
     rng: np.random.Generator,
 ) -> NDArray[np.bool_]:
-    """Return the voxels inside the boundary after it has moved outwards by offset and noise."""
+    """Return the voxels inside the boundary after moving it outwards by an offset and noise."""
     # "nearest" continues the body straight through the cut at the chest wall.
     share = ndimage.gaussian_filter(inside.astype(np.float32), BLUR_VOXELS, mode="nearest")
     depth = BLUR_VOXELS * min(spacing_mm) * ndtri(np.clip(share, 1e-6, 1 - 1e-6))

@@ -1,6 +1,6 @@
 """Case files: public data in one folder, the truth in another.
 
-Names, order, precision and times of the files reveal nothing about the kind of a case.
+Names, order, precision and modification times of the files do not reveal the kind of a case.
 """
 
 import gzip
@@ -60,7 +60,7 @@ def write_case(
     NoEquilibriumError
         If the solver finds no equilibrium for a load.
     InputError
-        If the body cannot be made or meshed.
+        If the body cannot be generated or meshed.
     """
     body = body_of(truth.anatomy, corners, spacing_mm)
     if truth.deviations.shape is not None:
@@ -79,7 +79,7 @@ def write_case(
 
 
 def scan_names(loads: tuple[Load, ...]) -> list[str]:
-    """Return the file names of the loaded scans: by axis, numbered from the smallest force."""
+    """Return the file names of the loaded scans: the axis, numbered from the smallest force."""
     count: dict[str, int] = {}
     names = []
     for load in loads:
@@ -90,7 +90,7 @@ def scan_names(loads: tuple[Load, ...]) -> list[str]:
 
 def _scans(truth: Truth, body: Body, solutions: list[Solution]) -> dict[str, Volume]:
     fine, share = fine_mesh_of(body.mesh), glandular_share(body.labels)
-    # As many streams as scans, separate from those of the truth.
+    # One random stream per scan, separate from the streams of the truth.
     streams = np.random.SeedSequence([truth.seed, 1]).spawn(len(solutions) + 1)
     rngs = [np.random.default_rng(s) for s in streams]
     outline, gland = truth.scene.segmentation_mm

@@ -1,1 +1,1 @@
-"""Comparison of two bodies: deformed volumes, similarity scores, interface distances."""
+"""Comparison of two bodies: deformed volumes, similarity scores and interface distances."""

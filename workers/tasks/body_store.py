@@ -1,8 +1,8 @@
-"""Bodies, meshes and data prepared from them, by digest: made once, cached in each process.
+"""Bodies, meshes and data derived from them, by digest: made once, cached in each process.
 
-A body or a mesh is named after its content. A small record maps the digest of a request, and of
-the code that fulfils it, to that content; so code that changes without changing the content
-makes nothing else stale.
+A body or a mesh is named after its content. A small record maps the digest of a request, and of the
+code that fulfils it, to that content; so a code change that leaves the content unchanged makes
+nothing else stale.
 """
 
 import threading
@@ -61,7 +61,7 @@ class BodyStore:
         Raises
         ------
         InputError
-            If it cannot be made, or is neither a file nor in the store.
+            If the body cannot be made, or is neither a file nor in the store.
         """
         if isinstance(self.organ, StoredOrgan):
             given = self.organ.stored_name(spec)
@@ -81,12 +81,12 @@ class BodyStore:
         return self._made(request, self.has_body, make)
 
     def bring_aligned(self, target: str, reference: str, case: CaseSpec) -> tuple[str, Facts]:
-        """Return the digest of a stored target after alignment, and its motion."""
+        """Return the digest of a stored target after alignment, and the motion that aligned it."""
         body, motion = aligned_target(self.organ, self.body(target), self.body(reference), case)
         return self.add(body, {"kind": "image", "motion": dict(motion)}), motion
 
     def bring_mesh(self, body: str, case: CaseSpec) -> tuple[str, dict[str, Any]]:
-        """Add the mesh of a stored body to the store; return its digest, and facts of both."""
+        """Add the mesh of a stored body to the store; return its digest and facts about both."""
         request = self._request("mesh", body, self.organ.mesh_settings(case))
 
         def make() -> str:
@@ -104,7 +104,7 @@ class BodyStore:
         return name, load_meta(self.store.layout.mesh(name))["facts"]
 
     def add(self, body: Any, meta: Mapping[str, Any]) -> str:
-        """Store a body under the digest of its content, separately for images and simulations."""
+        """Store a body under the digest of its content and its origin, image or simulation."""
         name = self._body_digest(body, meta.get("kind") == "image")
         if not self.has_body(name):
             self.save_body(name, body, meta)
@@ -137,18 +137,18 @@ class BodyStore:
         return self._cached("model", name, lambda: self.organ.prepare(self.mesh(name)))
 
     def landmarks(self, name: str, case: CaseSpec) -> Any:
-        """Return the landmarks of a stored body that its load needs."""
+        """Return the landmarks of a stored body that a load needs."""
         load = case.model_dump_json(exclude={"reference", "mesh", "constants"})
         what = f"landmarks {load}"
         return self._cached(what, name, lambda: self.organ.landmarks(self.body(name), case))
 
     def scorer(self, target: str, spec: ScoreSpec) -> Any:
-        """Return the scorer of bodies against a stored target; each thread has its own."""
+        """Return a scorer of bodies against a stored target; each thread has its own."""
         what = f"scorer {spec.model_dump_json()} {threading.get_ident()}"
         return self._cached(what, target, lambda: self.organ.scorer(self.body(target), spec))
 
     def coarse(self, name: str, spacing_mm: float) -> str:
-        """Return the digest of a stored body in coarser voxels; its own if it is as coarse."""
+        """Return the digest of a body resampled to coarser voxels; its own if already as coarse."""
         request = self._request("coarse body", name, spacing_mm)
 
         def make() -> str:
@@ -163,7 +163,7 @@ class BodyStore:
         return self._made(request, self.has_body, make)
 
     def observation(self, body: str, mesh: str, target: str) -> Any:
-        """Return the data of a body and its target that residuals need."""
+        """Return the data of a body and its target needed for residuals."""
         organ = differentiable(self.organ)
         return self._cached(
             f"observation {body} {mesh}",
@@ -195,9 +195,9 @@ class BodyStore:
         target : str, optional
             Digest of the target body.
         score : ScoreSpec, optional
-            Settings of the comparison; no comparison by default.
+            Settings of the comparison; without them, nothing is compared.
         observed : bool
-            True if residuals are wanted too.
+            Whether residuals are needed too.
         """
         body, mesh = prepared["volume"], prepared["mesh"]
         imaged = target is not None and self.imaged(target)
@@ -216,7 +216,7 @@ class BodyStore:
         )
 
     def _objective(self, target: str, score: ScoreSpec) -> dict[str, Any]:
-        """Return the objective of a study, and its measure of a deformed body."""
+        """Return the objective of a study, and the function that measures a deformed body."""
         objective = objective_named(score.objective)
         make = objective.measure
         if make is None:
@@ -236,7 +236,7 @@ class BodyStore:
         if found is not None:
             return found
         raise InputError(
-            f"{given} is neither a file or folder (looked up from {Path.cwd()}) nor a volume in "
+            f"{given} is neither a file or folder (relative to {Path.cwd()}) nor a volume in "
             f"the store {self.store.root}. Check the path, or import the image first."
         )
 

@@ -28,12 +28,12 @@ def code_version(*modules: str) -> str:
     ----------
     *modules : str
         Dotted names, such as ``"palpate.workers.tasks.evaluation"``. For a plug-in, its whole
-        top-level package counts as far as it is imported, and the version of its distribution.
+        top-level package counts as far as it is imported, as does the version of its distribution.
 
     Returns
     -------
     str
-        The same on every machine that has the same source, wherever it is installed.
+        A digest that is the same on every machine with the same source, wherever it is installed.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def code_version(*modules: str) -> str:
 def reached(modules: Iterable[str], packages: Iterable[str] = PACKAGES) -> dict[str, Path]:
     """Return the modules of some packages that are reached from these modules by imports.
 
-    Imports inside functions and for type checkers count. The ``__init__`` of every package
+    Imports inside functions and under TYPE_CHECKING count. The ``__init__`` of every package
     on the way counts, because Python runs it.
 
     Parameters
@@ -58,7 +58,7 @@ def reached(modules: Iterable[str], packages: Iterable[str] = PACKAGES) -> dict[
     modules : iterable of str
         Starting modules.
     packages : iterable of str
-        Packages whose imports are followed; others are left out.
+        Packages whose imports are followed; others are ignored.
 
     Returns
     -------
@@ -125,10 +125,10 @@ def _imported(file: Path, module: str, roots: tuple[str, ...] = PACKAGES) -> tup
 
 
 def _import_statements(file: Path) -> list[tuple[int, str, tuple[str, ...]]]:
-    """Return level, module and members of each import statement of a file, in order.
+    """Return the level, module and members of each import statement in a file, in order.
 
-    They are read from the compiled code: `ast.parse` fails while another thread of the process
-    is parsing too (cpython issue 106905), even if it parses only a string in a template.
+    They are read from the compiled code, because `ast.parse` fails while another thread is parsing
+    too (cpython issue 106905), even if it parses only a string in a template.
     """
     found: dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]] = {}
     waiting = [compile(file.read_bytes(), str(file), "exec", dont_inherit=True)]
@@ -141,7 +141,7 @@ def _import_statements(file: Path) -> list[tuple[int, str, tuple[str, ...]]]:
 
 
 def _imports_of(code: CodeType) -> dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]]:
-    """Return the import statements of one code object by their position in the file."""
+    """Return the import statements of one code object, keyed by their position in the file."""
     found: dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]] = {}
     level: Any = 0  # with `members`, the two constants loaded before the import
     members: Any = None
@@ -156,7 +156,7 @@ def _imports_of(code: CodeType) -> dict[tuple[int, int, str], tuple[int, str, tu
 
 
 def _absolute(level: int, base: str, module: str, file: Path) -> str:
-    """Return the absolute name of the module that a statement imports from."""
+    """Return the absolute name of the module from which a statement imports."""
     if not level:
         return base
     package = module.split(".") if file.name == "__init__.py" else module.split(".")[:-1]

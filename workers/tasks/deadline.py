@@ -1,8 +1,8 @@
 """A deadline for evaluations, enforced by ending the process.
 
-A cancelled future runs on, and a compiled kernel ignores signals. So the process of the worker
-ends, its nanny starts another, and the scheduler sends the task again. The overrun is recorded
-in the store first; after `MOST_OVERRUNS` the evaluation ends, with that as its reason. Processes
+A cancelled future keeps running, and a compiled kernel ignores signals. So the worker process ends
+itself, its nanny starts another, and the scheduler sends the task again. The overrun is recorded in
+the store first; after `MOST_OVERRUNS` of them the evaluation ends with that reason. Processes
 without a nanny are left alone, because nothing would restart them.
 """
 
@@ -33,19 +33,19 @@ def evaluate_within(
     Returns
     -------
     dict
-        The result of `evaluate`; diverged if the deadline was overrun `MOST_OVERRUNS` times.
-        That depends on the machine too, so it is not stored.
+        The result of `evaluate`, or diverged if the deadline was overrun `MOST_OVERRUNS` times. The
+        latter depends on the machine too, so it is not stored.
     """
     store = open_store(request["store"])
     numbers = range(1, MOST_OVERRUNS + 1)
     overruns = [store.layout.overrun(request["digest"], number) for number in numbers]
     before = [place for place in overruns if backend_of(place).is_file(place)]
     if len(before) == MOST_OVERRUNS and load_evaluation(store, request["digest"]) is None:
-        _remove(before)  # another study may have more patience
+        _remove(before)  # another study may have a longer deadline
         return {
             "digest": request["digest"],
             "status": "diverged",
-            "reason": f"no result within {deadline_s:g} s, tried {MOST_OVERRUNS} times",
+            "reason": f"no result within {deadline_s:g} s in any of {MOST_OVERRUNS} attempts",
             "score": None,
             "outcome": {},
             "constants": dict(request["constants"]),

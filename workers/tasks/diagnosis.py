@@ -6,7 +6,7 @@
     calibrate_nominal  a case               > constants, points and noise in the store
     analyse_effect     one effect, one scan > its change in the residuals
     fit_effects        up to three effects  > the most probable constants and magnitudes
-    read_noise_again   the best effect      > constants and noise, estimated at its points
+    read_noise_again   the best effect      > constants and noise, estimated at its fitted points
     weigh_hypotheses   all of these         > the fits still missing, or the outcome
 
 Every task is idempotent: stored results are not computed again. A request names digests, so
@@ -56,7 +56,7 @@ from palpate.workers.tasks.task_store import Part
 
 @dataclass(frozen=True, slots=True)
 class WeighingRecord:
-    """Parts that are still missing.
+    """The parts of a diagnosis that are still missing.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class WeighingRecord:
 
 
 def prepare_scan(request: DiagnosisRequest, name: str) -> PreparationRecord:
-    """Prepare a scan by a name of `workers.diagnosis.problem.preparation`, for all processes."""
+    """Make one preparation named in `workers.diagnosis.problem.preparation`, for all processes."""
     store = DiagnosisStore(request)
     part = store.preparation(name)
     if not part.is_finished:
@@ -119,14 +119,14 @@ def calibrate_nominal(request: DiagnosisRequest, threads: int = 1) -> Calibratio
 def read_noise_again(
     request: DiagnosisRequest, effects: tuple[str, ...], threads: int = 1
 ) -> CalibrationRecord:
-    """Estimate the noise at the points of the joint fit of `effects`; fit the constants again."""
+    """Estimate the noise at the points of the joint fit of `effects`; refit the constants."""
     store = DiagnosisStore(request)
     part = store.read_again_at(effects).reading
     if not part.is_finished:
         begun = time.perf_counter()
         best = store.load_joint_fit(store.combination(effects))
         if best is None:
-            raise ValueError(f"{effects} could not be simulated: the noise is not read there")
+            raise ValueError(f"{effects} could not be simulated: cannot estimate the noise there")
         with scan_threads(threads) as each:
             found = read_again(store.analysis, store.single_fits(), best, each)
         seconds = time.perf_counter() - begun
@@ -240,7 +240,7 @@ def replay(store: DiagnosisStore, course: Course) -> Diagnosis | WeighingRecord:
 
 
 def model_displacements(diagnosis: Diagnosis, each: Each) -> Displacements:
-    """Return nodal displacements before, and after if an effect is named and simulated.
+    """Return nodal displacements of the nominal model and, if any, of the best joint fit.
 
     Only the points of a joint fit are stored, so the body is solved once more.
     """
@@ -264,8 +264,8 @@ def model_displacements(diagnosis: Diagnosis, each: Each) -> Displacements:
 def residual_maps(diagnosis: Diagnosis) -> Arrays:
     """Return residuals on the interfaces, (scans, points) in mm, before and after.
 
-    The result also has their noise, the displaced points ``moved_``, and the observed normals
-    there.
+    The result also contains their noise, the displaced points ``moved_``, and the observed normals
+    at these points.
     """
     analysis = diagnosis.analysis
     inverse, nominal = analysis.inverse, analysis.nominal
@@ -298,7 +298,7 @@ def kept_of(before: InterfacePoints, after: InterfacePoints) -> BoolArray:
     rows = {(int(i), *p): n for n, (i, p) in enumerate(_rows(before))}
     index = np.array([rows[(int(i), *p)] for i, p in _rows(after)], dtype=np.intp)
     if (np.diff(index) <= 0).any():
-        raise ValueError("calibration must keep points in their order")
+        raise ValueError("calibration must keep the points in order")
     kept = np.zeros(len(before), np.bool_)
     kept[index] = True
     return kept

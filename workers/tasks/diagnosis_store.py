@@ -10,11 +10,10 @@
     reading        noise, constants and derivatives, estimated at the points of a joint fit
     outcome        the summary, and residuals on the interfaces
 
-Each process builds the mesh once from the source and the preparations. A process that works
-alone makes the preparations itself and does not store them.
-The nominal equilibria are solved again from rest at the stored constants, and those of another
-noise estimate start from there, in every process alike: a joint fit does not depend on the
-process that computes it.
+Each process builds the mesh once from the source and the preparations. A process that works alone
+makes the preparations itself and does not store them. Every process solves the nominal equilibria
+again from rest at the stored constants, and starts the equilibria of another noise estimate from
+there, so a joint fit does not depend on the process that computes it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -63,9 +62,9 @@ class DiagnosisRequest:
     nodes : int
         Number of nodes of the mesh.
     spacing_mm : float
-        Distance of points on the interfaces.
+        Distance between points on the interfaces.
     effects : tuple of str
-        Suspected effects of the source's catalogue.
+        Suspected effects from the source's catalogue.
     name : str
         Digest of all of these and of the code; see `named`.
     """
@@ -89,8 +88,9 @@ class PreparationRecord:
 class CalibrationRecord:
     """Result of the nominal fit.
 
-    `points` is the number of points kept on the interfaces, `left_out` the number not clearly
-    visible in some scan, `scans` the number of scans; `cost` is minus twice the log posterior.
+    `points` is the number of points kept on the interfaces, `left_out` the number of points not
+    clearly visible in some scan, `scans` the number of scans; `cost` is minus twice the log
+    posterior.
     """
 
     points: int
@@ -105,7 +105,7 @@ class CalibrationRecord:
 
 @dataclass(frozen=True, slots=True)
 class SensitivityRecord:
-    """Sensitivity to an effect in one scan: whether it acts and can be simulated, or is idle."""
+    """Sensitivity to an effect in one scan, unless it is idle there or cannot be simulated."""
 
     acts: bool
     idle: bool
@@ -114,7 +114,7 @@ class SensitivityRecord:
 
 @dataclass(frozen=True, slots=True)
 class JointFitRecord:
-    """Result of a joint fit; without numbers if no start could be simulated."""
+    """Result of a joint fit; its numbers are None if no starting point could be simulated."""
 
     simulated: bool
     seconds: float
@@ -133,21 +133,21 @@ class Outcome:
 
 
 def named(request: DiagnosisRequest) -> DiagnosisRequest:
-    """Return the request named by the digest of everything its result depends on, code included."""
+    """Return the request, named after a digest of everything its result depends on."""
     code = diagnosis_code(request.source.kind)
     how = [request.nodes, request.spacing_mm, list(request.effects)]
     return replace(request, name=digest("diagnosis", request.source.digest, *how, code))
 
 
 def diagnosis_code(kind: str) -> str:
-    """Return a digest of all source code that a diagnosis of this kind of source depends on."""
+    """Return a digest of all code that a diagnosis of this kind of source depends on."""
     return code_version("palpate.workers.tasks.diagnosis", source_module(kind), *plugged_modules())
 
 
 def plugged_modules() -> list[str]:
-    """Return the modules of all effects and laws of other distributions.
+    """Return the modules of all effects and laws from other distributions.
 
-    A diagnosis may suspect the effects, and its model may use the laws.
+    A diagnosis may consider any of these effects, and its model may use any of the laws.
     """
     return [p.module for p in foreign_plugins() if p.group in ("effects", "laws")]
 
@@ -161,7 +161,7 @@ class DiagnosisStore:
         The request, with its name; see `named`.
     read_at : tuple of str
         Effects at whose joint fit the noise is estimated; none for the points of the nominal
-        model. Joint fits are stored separately for each such estimate.
+        model. Joint fits are stored separately for each noise estimate.
 
     Raises
     ------
@@ -238,21 +238,21 @@ class DiagnosisStore:
     # The parts
 
     def preparation(self, name: str) -> Part:
-        """Return the part of a preparation of the scans, made before any fit."""
+        """Return the part that stores a preparation of the scans, made before any fit."""
         return self._part("preparation", name)
 
     @property
     def calibration(self) -> Part:
-        """Points kept, noise, constants and derivatives."""
+        """The points kept, noise, constants and derivatives."""
         return self._part("calibration")
 
     def sensitivity(self, effect: str, scan: int) -> Part:
-        """Return the columns of one effect in one scan."""
+        """Return the sensitivity columns of one effect in one scan."""
         return self._part("sensitivity", effect, scan)
 
     @property
     def reading(self) -> Part:
-        """Noise, constants and derivatives; from the calibration unless estimated again."""
+        """Noise, constants and derivatives, from the calibration unless estimated again."""
         return self._part("reading", *self.read_at) if self.read_at else self.calibration
 
     def joint_fit(self, effects: Sequence[str]) -> Part:
@@ -273,21 +273,21 @@ class DiagnosisStore:
 
     @property
     def nominal(self) -> SolvedFit:
-        """The nominal fit, its equilibria solved from rest."""
+        """The nominal fit, with its equilibria solved from rest."""
         return self._cached("nominal", self._nominal)
 
     @property
     def analysis(self) -> NominalAnalysis:
-        """The nominal fit, see `nominal`, with the sensitivities of all effects."""
+        """The nominal fit (see `nominal`) with the sensitivities of all effects."""
         nominal = self.nominal
         return self._cached("analysis", lambda: self._analysis(nominal))
 
     def has_joint_fit(self, effects: Sequence[Effect]) -> bool:
-        """Return True if a joint fit has ended."""
+        """Return True if a joint fit has finished."""
         return self.joint_fit([e.name for e in effects]).is_finished
 
     def load_joint_fit(self, effects: Sequence[Effect]) -> JointFit | None:
-        """Return a stored joint fit; None if no start could be simulated."""
+        """Return a stored joint fit; None if no starting point could be simulated."""
         record, arrays = self.joint_fit([e.name for e in effects]).load(JointFitRecord)
         if record.log_evidence is None:
             return None
@@ -313,7 +313,7 @@ class DiagnosisStore:
     def save_joint_fit(
         self, effects: Sequence[str], fitted: JointFit | None, seconds: float
     ) -> None:
-        """Save a joint fit; None means that no start could be simulated."""
+        """Save a joint fit; None means that no starting point could be simulated."""
         part = self.joint_fit(effects)
         if fitted is None:
             part.save(JointFitRecord(False, seconds), {})

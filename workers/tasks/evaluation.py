@@ -4,7 +4,7 @@
 
     prepare_case    a case                       > body and mesh in the store
     make_target     a case and a target          > the deformed body to be matched
-    prepare_level   a body and its target        > both in coarser voxels, and a coarser mesh
+    prepare_level   a body and its target        > both with coarser voxels, and a coarser mesh
     evaluate        a candidate                  > field, score and record in the store
     keep_volume     a finished evaluation        > its deformed body in the store
     score_bodies    two stored bodies            > the score of each part
@@ -87,7 +87,7 @@ def prepare_case(case: SpecJson, store: str) -> PreparedBody:
     Parameters
     ----------
     case : mapping
-        As written by `CaseSpec`.
+        Case, as serialised by `CaseSpec`.
     store : str
         Location of the store.
 
@@ -108,7 +108,7 @@ def prepare_case(case: SpecJson, store: str) -> PreparedBody:
 def prepare_level(
     case: SpecJson, prepared: PreparedBody, target: str, spacing_mm: float, nodes: int, store: str
 ) -> PreparedLevel:
-    """Add body and target in coarser voxels, and a mesh of fewer nodes, to the store.
+    """Add body and target with coarser voxels, and a mesh with fewer nodes, to the store.
 
     Raises
     ------
@@ -131,8 +131,8 @@ def prepare_level(
 def make_target(case: SpecJson, target: SpecJson, store: str) -> PreparedTarget:
     """Add the deformed body to be matched to the store.
 
-    A simulated target takes its constants from `target`, then from the case; an
-    image is read and its labels are translated.
+    A simulated target takes its constants from `target`, then from the case; an image is read and
+    its labels are mapped to tissues.
 
     Raises
     ------
@@ -156,8 +156,8 @@ def make_target(case: SpecJson, target: SpecJson, store: str) -> PreparedTarget:
     volume = made.get("volume")
     if made["status"] != "done" or volume is None:
         raise InputError(
-            f"The target cannot be simulated: {made['reason']}. Choose other constants, a "
-            "smaller load or another mesh for it."
+            f"The target cannot be simulated: {made['reason']}. Choose other constants, a smaller "
+            "load or another mesh."
         )
     return {
         "target": volume,
@@ -205,7 +205,7 @@ def evaluate(request: EvaluationRequest) -> EvaluationResult:
     -------
     dict
         ``score`` is None if diverged and may contain -inf; ``reused`` is True if the result was
-        already stored; ``seconds`` has the time of each stage.
+        already stored; ``seconds`` holds the time of each stage.
 
     Raises
     ------
@@ -259,7 +259,7 @@ def evaluation_digest(
 
 
 def keep_volume(request: EvaluationRequest) -> str:
-    """Store the deformed body of a finished evaluation, computed from its stored field.
+    """Compute the deformed body of a finished evaluation from its stored field, and store it.
 
     Parameters
     ----------
@@ -360,9 +360,9 @@ def _result(
 
 
 def _save(store: Store, result: EvaluationResult, solution: Solution) -> EvaluationResult:
-    """Store the field first and the record last, which guarantees the rest.
+    """Store the field first and the record last, so an existing record guarantees the rest.
 
-    Return the result as a later reader will find it.
+    Return the result as read back from the store.
     """
     name = result["digest"]
     if np.isfinite(solution.displacement_mm).all():
@@ -372,7 +372,7 @@ def _save(store: Store, result: EvaluationResult, solution: Solution) -> Evaluat
 
 
 def _has(bodies: BodyStore, body: str | None) -> bool:
-    """Return True if no body is expected or it exists; it may have been removed."""
+    """Return True if no body is expected or it is still in the store."""
     return body is None or bodies.has_body(body)
 
 

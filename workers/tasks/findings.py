@@ -12,7 +12,7 @@ from palpate.workers.tasks.evaluation import case_of, case_organ, spec_of
 
 
 def find(request: EvaluationRequest) -> dict[str, Any]:
-    """Return the findings of a finished evaluation as plain values; possibly empty."""
+    """Return the findings about a finished evaluation as plain values, if any."""
     organ, spec = case_organ(request["case"]), case_of(request["case"])
     module = findings_of(spec.organ)
     if module is None:

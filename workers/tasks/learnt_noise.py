@@ -1,4 +1,4 @@
-"""Conversion of a calibration's learnt noise to arrays in the store and back."""
+"""Conversion of a calibration's learnt noise to stored arrays and back."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from palpate.workers.diagnosis.problem.pressed_points import with_pressed_points
 
 
 def noise_arrays(inverse: InverseProblem) -> Arrays:
-    """Return the parts of the learnt noise that points and stated noise do not determine.
+    """Return the parts of the learnt noise not determined by the points and the given noise.
 
     Raises
     ------
@@ -23,7 +23,7 @@ def noise_arrays(inverse: InverseProblem) -> Arrays:
     """
     learnt = inverse.learnt
     if learnt is None:
-        raise ValueError("the noise is learnt with the calibration")
+        raise ValueError("the noise is only known after the calibration")
     anchors = {"noise_anchors": np.stack(inverse.anchors)} if inverse.anchors else {}
     pressed = np.stack([inverse.followed(scan).pressed for scan in inverse.scans])
     uneven = {} if learnt.parts.uneven is None else {"noise_uneven": learnt.parts.uneven}
@@ -42,7 +42,7 @@ def noise_arrays(inverse: InverseProblem) -> Arrays:
 
 
 def with_stored_noise(inverse: InverseProblem, arrays: Arrays) -> InverseProblem:
-    """Return a problem, reduced to its calibrated points, with its learnt noise."""
+    """Return a problem, already reduced to its calibrated points, with its stored noise."""
     inverse = with_pressed_points(inverse, list(arrays["noise_pressed"]))
     parts = NoiseParts(
         stated=stated_covariances(inverse),

@@ -49,7 +49,7 @@ def take_view(
     Parameters
     ----------
     case : dict
-        A case of a breast, as written by `CaseSpec`; its plates are turned to the view.
+        Case of a breast, as serialised by `CaseSpec`; its plates are rotated to the view.
     fitted, target : mapping of str to float
         Constants, in internal names and units.
     view : {"CC", "MLO"}
@@ -57,7 +57,7 @@ def take_view(
     pixel_mm : float
         Edge of the detector's pixels.
     noise_seed : int, optional
-        None for a mammogram without noise.
+        Seed of the noise; None for a mammogram without noise.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def _pressed(case: Mapping[str, Any], values: Mapping[str, float], view: View, s
     volume = result.get("volume")
     if result["status"] != "done" or volume is None:
         raise InputError(
-            f"The {view} compression does not converge: {result['reason']}. Leave that view out "
-            "with --view."
+            f"The {view} compression does not converge: {result['reason']}. Select only the other "
+            "view with --view."
         )
     return load_volume(open_store(store), volume)

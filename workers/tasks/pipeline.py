@@ -1,6 +1,6 @@
 """The stages of an evaluation: solve, deform, score.
 
-This module uses neither store nor cluster; `workers.tasks.evaluation` loads its inputs and
+This module uses neither the store nor the cluster; `workers.tasks.evaluation` loads its inputs and
 saves its results.
 """
 
@@ -46,7 +46,7 @@ class Setup:
     scorer : Scorer or None
         Compares deformed bodies with the target.
     observation
-        Data of body and target that residuals need; None if they are not requested.
+        Data of body and target needed for residuals; None if residuals are not requested.
     objective : Objective
         Ranks the candidates.
     measure : callable or None
@@ -77,10 +77,10 @@ class Evaluation:
     deformed
         The deformed body; None if the simulation diverged.
     scores : dict or None
-        ``jc``, ``mhd_mm``, ``mhd_voxels``, ``gsf`` and the objective; None if it diverged or is
-        not compared.
+        ``jc``, ``mhd_mm``, ``mhd_voxels``, ``gsf`` and the objective; None if the simulation
+        diverged or is not compared.
     fit : dict or None
-        Its least-squares problem; None if it diverged or was not requested.
+        Its least-squares problem; None if the simulation diverged or the fit was not requested.
     """
 
     solution: Solution
@@ -118,7 +118,7 @@ def evaluate(
     ----------
     setup : Setup
     constants : mapping of str to float
-        Every parameter, in internal names and units; see `CaseSpec.complete`.
+        Values of all parameters, in internal names and units; see `CaseSpec.complete`.
     watch : Watch
         Receives the seconds of the stages ``solve``, ``deform`` and ``score``.
     free : sequence of FreeParameter
@@ -184,7 +184,7 @@ def with_priors(
     ----------
     equations : NormalEquations
     values : sequence of float, p
-        Of the free parameters, in internal units.
+        Values of the free parameters, in internal units.
     free : sequence of FreeParameter, p
     """
     gradient, hessian = equations.gradient.copy(), equations.hessian.copy()

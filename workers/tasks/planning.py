@@ -43,7 +43,7 @@ class PlanRequest:
     nodes : int
         Number of nodes of the mesh.
     spacing_mm : float
-        Distance of points on the interfaces.
+        Distance between points on the interfaces.
     name : str
         Digest of all of these and of the code; see `named`.
     """
@@ -74,7 +74,7 @@ class LoadRecord:
 
 
 def named(request: PlanRequest) -> PlanRequest:
-    """Return the request named by the digest of everything its result depends on, code included."""
+    """Return the request, named after a digest of everything its result depends on."""
     how = [request.nodes, request.spacing_mm, _code(request.source.kind)]
     return replace(request, name=digest("plan", request.source.digest, *how))
 
@@ -90,7 +90,7 @@ def list_loads(request: PlanRequest) -> LoadsRecord:
 
 
 def analyse_load(request: PlanRequest, number: int) -> LoadRecord:
-    """Simulate one load, and the change in its scan due to every effect."""
+    """Simulate one load, and the change in its scan due to each effect."""
     part = _part(request, "load", number)
     if not part.is_finished:
         begun = time.perf_counter()
@@ -124,7 +124,7 @@ def weigh_plan(request: PlanRequest) -> PlanSummary:
         if lost:
             raise InputError(
                 f"The nominal model does not converge at {', '.join(lost)} in the middle of the "
-                "plausible intervals: check loads, units and constants."
+                "plausible intervals. Check the loads, units and constants."
             )
         acquisition = _acquisition(request)
         plan = make_plan(acquisition.name, unloaded, loads, known, acquisition.effects)
@@ -147,7 +147,7 @@ def _stored(request: PlanRequest, number: int) -> LoadSensitivity | None:
 
 
 def _body(request: PlanRequest) -> tuple[InverseProblem, list[CandidateLoad]]:
-    """Return the body at rest and all loads; cached in each process."""
+    """Return the body at rest and all loads, cached in each process."""
 
     def make() -> tuple[InverseProblem, list[CandidateLoad]]:
         acquisition = _acquisition(request)

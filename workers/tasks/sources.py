@@ -1,7 +1,7 @@
 """Sources of a diagnosis or a plan, read from a path and stored once, by content.
 
-Only these functions and `workers.tasks.studies` read paths. Tasks receive the kind of a source
-and the digest under which all of it is stored.
+Only these functions and `workers.tasks.studies` read paths. Tasks receive the kind of a source and
+the digest of its stored content.
 """
 
 import shlex
@@ -48,16 +48,16 @@ class SourceName:
 
 @dataclass(frozen=True, slots=True)
 class StoredContent:
-    """A source in the store; its arrays are stored with this record.
+    """The record of a source in the store; its arrays are stored with it.
 
     Parameters
     ----------
     kind : str
         See `SourceContent`.
     text : str
-        Its record as JSON.
+        The source's own record as JSON.
     volumes : mapping of str to str
-        Digests of its volumes.
+        Digests of the volumes, by name.
     """
 
     kind: str
@@ -74,7 +74,7 @@ def open_source(path: Path, store: Location | None = None) -> Source:
         A case or its folder, the folder of a study that has run, or the file of a bench
         experiment.
     store : str or Path, optional
-        Store that contains the volumes named in a case.
+        Store that contains the volumes named in the case.
 
     Raises
     ------
@@ -105,12 +105,12 @@ def check_source(source: HasContent, *, anyway: bool = False) -> list[Finding]:
     ----------
     source : Source or PlannedSource
     anyway : bool
-        Accept implausible inputs.
+        Whether to accept implausible inputs.
 
     Raises
     ------
     InputError
-        If the source is refused; lists all reasons.
+        If the source is rejected; lists all reasons.
     """
     with reading("What is to be diagnosed", "a case or an experiment"):
         if isinstance(source, CheckedSource):
@@ -128,7 +128,7 @@ def source_caveats(source: HasContent, findings: list[Finding]) -> tuple[str, ..
 
 
 def volumes_of(store: Location | None) -> Callable[[str], Volume | None]:
-    """Return a function that finds the volumes in a store by name."""
+    """Return a function that finds volumes in a store by name."""
 
     def find(name: str) -> Volume | None:
         if store is None:
@@ -166,7 +166,7 @@ def is_plannable(path: Path) -> bool:
 
 
 def refuse_study_file(path: Path) -> None:
-    """Refuse a study file, which has to be run before it can be diagnosed or planned.
+    """Reject a study file, which has to be run before it can be diagnosed or planned.
 
     Raises
     ------
@@ -182,8 +182,9 @@ def refuse_study_file(path: Path) -> None:
     if isinstance(data, Mapping) and "case" in data and "search" in data:
         folder = f"runs/{data.get('name', 'NAME')}"
         raise InputError(
-            f"{path} is a study file, expected a case, an experiment or the folder of a study "
-            f"that has run. Run it, `palpate run {shlex.quote(str(path))}`, then give its folder: "
+            f"{path} is a study file; expected a case, an experiment or the folder of a study "
+            f"that has run. Run it with `palpate run {shlex.quote(str(path))}`, then give its "
+            "folder: "
             f"{folder}."
         )
 
@@ -194,7 +195,7 @@ def open_planned(path: Path, store: Location | None = None) -> PlannedSource:
     Raises
     ------
     InputError
-        If `path` is neither the folder of a case nor the folder of a study.
+        If `path` is neither the folder of a case nor that of a study.
     """
     with reading(path, "a case"):
         check_regular(path)
@@ -212,7 +213,7 @@ def open_planned(path: Path, store: Location | None = None) -> PlannedSource:
 
 
 def check_nodes(nodes: int, source: HasContent) -> None:
-    """Refuse a mesh that is too coarse for a scanned body, before any work is sent to workers.
+    """Reject a mesh that is too coarse for a scanned body, before sending any work to workers.
 
     Raises
     ------
@@ -248,7 +249,7 @@ def stored_source(name: SourceName, store: TaskStore) -> Source:
     Raises
     ------
     StoreError
-        If it is not in the store.
+        If the source is not in the store.
     """
     return store.cached(("source", name), lambda: source_of(_content(name, store)))
 
@@ -259,7 +260,7 @@ def stored_planned(name: SourceName, store: TaskStore) -> PlannedSource:
     Raises
     ------
     StoreError
-        If it is not in the store.
+        If the source is not in the store.
     """
     return store.cached(("planned", name), lambda: planned_source_of(_content(name, store)))
 

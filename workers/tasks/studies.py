@@ -31,14 +31,14 @@ def open_study(folder: Path) -> StudySource:
     Parameters
     ----------
     folder : Path
-        Folder of the study. Its store must still contain the volumes that it was run with.
+        Folder of the study. Its store must still contain the volumes that the study was run with.
 
     Raises
     ------
     InputError
-        If there is no study, or it has not begun to evaluate.
+        If there is no study, or none of its evaluations has started.
     JournalError, StoreError
-        If journal or store are damaged, or a volume is missing.
+        If the journal or the store is damaged, or a volume is missing.
     """
     layout = StudyLayout(folder)
     if not is_study(folder):

@@ -28,20 +28,20 @@ def study_findings(
     searched: Mapping[str, Bounds],
     elsewhere: bool = False,
 ) -> Iterator[Finding]:
-    """Yield the findings of an organ about a study.
+    """Yield an organ's findings about a study.
 
-    Images are added to the store for the workers. Generated bodies are not made here.
+    Images are added to the store for the workers. Phantoms are not generated here.
 
     Parameters
     ----------
     case, target, score
-        Validated by the organ's models.
+        Specifications, validated by the organ's models.
     store : str
         Location of the store.
     searched : mapping of str to (float, float)
         Searched intervals, in internal names and units.
     elsewhere : bool
-        True if the workers may see files that this process does not; those are not checked.
+        Whether the workers may see files that this process cannot; those are not checked.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def _checks(case: CaseSpec, searched: Mapping[str, Bounds]) -> StudyChecks | Non
 
 
 def _imaged(bodies: BodyStore, spec: Door, elsewhere: bool) -> Any | None:
-    """Return a body that comes from an image; None if it is generated or not visible here."""
+    """Return a body read from an image; None if it is a phantom or its file is not visible here."""
     files = bodies.organ.body_files(spec)
     if not files:
         return None
@@ -84,13 +84,13 @@ def _imaged(bodies: BodyStore, spec: Door, elsewhere: bool) -> Any | None:
 def imported_findings(organ: str, body: Any, name: str, *, anyway: bool) -> list[Finding]:
     """Check a single body, such as an imported one; `name` is used in messages.
 
-    A body in several pieces, or with unlabelled slices, is only reported here, but a study of it
-    is refused.
+    Several pieces or unlabelled slices are only reported here, but a study of such a body is
+    rejected.
 
     Raises
     ------
     InputError
-        If the body cannot be such an organ; lists all reasons.
+        If the body cannot be a body of this organ; lists all reasons.
     """
     checks = checks_of(organ)
     found: list[Finding] = (
@@ -106,14 +106,14 @@ def check_case(case: CaseSpec, store: str | None = None, *, anyway: bool = False
     ----------
     case : CaseSpec
     store : str, optional
-        Store to which its images are added to be checked too.
+        Store to which its images are added, so that they are checked too.
     anyway : bool
-        Accept implausible inputs.
+        Whether to accept implausible inputs.
 
     Raises
     ------
     InputError
-        If the case is refused; lists all reasons.
+        If the case is rejected; lists all reasons.
     """
     found = case_findings(case)
     if store is not None and not any(finding.severity == "impossible" for finding in found):

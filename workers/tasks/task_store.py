@@ -1,6 +1,6 @@
 """Results of tasks: a record and arrays under the digest of everything they depend on.
 
-A part is written whole or not at all, so a name exists only once its part is finished, and the
+A part is written completely or not at all, so a name exists only once its part is finished, and the
 same name means the same content everywhere. Records are frozen dataclasses; see
 `storage.records.typed_json`.
 """
@@ -31,7 +31,7 @@ class TaskStore:
     Parameters
     ----------
     location : str or Path
-        The store, created if missing.
+        Location of the store, which is created if missing.
 
     Raises
     ------
@@ -51,7 +51,7 @@ class TaskStore:
         return exists(self.path(name))
 
     def save(self, name: str, record: object, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Write a finished part; an existing one is kept.
+        """Write a finished part, unless it already exists.
 
         Parameters
         ----------
@@ -73,17 +73,17 @@ class TaskStore:
         Raises
         ------
         StoreError
-            If the part is missing or damaged, or its record is not of this kind.
+            If the part is missing or damaged, or its record is of another type.
         """
         return self._typed(name, kind, load_meta(self.path(name)))
 
     def load(self, name: str, kind: type[R]) -> tuple[R, Arrays]:
-        """Read record and arrays of a part.
+        """Read the record and the arrays of a part.
 
         Raises
         ------
         StoreError
-            If the part is missing or damaged, or its record is not of this kind.
+            If the part is missing or damaged, or its record is of another type.
         """
         arrays, meta = load_arrays(self.path(name))
         return self._typed(name, kind, meta), arrays
@@ -101,7 +101,7 @@ class TaskStore:
         return self.cached(("volume", name), lambda: load_volume(self.store, name))
 
     def cached(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return a value that this process computes once for this store."""
+        """Return a value, computed once for this store in this process."""
         return CACHE.get(("task", str(self.store.root), key), make)
 
     def _typed(self, name: str, kind: type[R], meta: Mapping[str, Any]) -> R:
@@ -109,8 +109,8 @@ class TaskStore:
             return from_json(kind, meta)
         except ValueError as error:
             raise StoreError(
-                f"{self.path(name)} has unexpected content: {error}. Remove that folder "
-                "and run the same command again to recreate it."
+                f"{self.path(name)} has unexpected content: {error}. Remove that folder and run "
+                "the command again to recreate it."
             ) from error
 
 
@@ -147,5 +147,5 @@ class Part:
         return self.store.record(self.name, kind)
 
     def load(self, kind: type[R]) -> tuple[R, Arrays]:
-        """Read record and arrays; see `TaskStore.load`."""
+        """Read the record and the arrays; see `TaskStore.load`."""
         return self.store.load(self.name, kind)

@@ -1,10 +1,10 @@
-"""The cantilever bar of thesis section 3.3.2: a gold deformation and eight wrong ones.
+"""The cantilever bar of thesis section 3.3.2: a gold standard and eight wrong deformations.
 
-The thesis gives no size, material or force of its bar, and the figure with the directions of F0
-to F4 is lost. The values assumed here: a soft square bar bent by the gold force by about its
-own thickness; F0 and F1 along -x, F2 opposite to them, F3 and F4 along -y and y. With them the
-deformations 1 to 8, which the thesis numbers from best to worst, are further and further from
-the gold one.
+The thesis gives no size, material or force of its bar, and the figure with the directions of F0 to
+F4 is lost. The values assumed here: a soft square bar, bent by the gold-standard force by about its
+own thickness; F0 and F1 along -x, F2 opposite to them, F3 and F4 along -y and y. With these values,
+deformations 1 to 8, which the thesis numbers from best to worst, are increasingly far from the gold
+standard.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ from palpate.workers.thesis.scale import Scale, check_scale
 LENGTH_MM, SIDE_MM = 100.0, 20.0
 # A gel of 30 kPa, nearly incompressible as all tissues of the thesis.
 GEL = Constants(young_mpa=0.03, poisson=0.49)
-# Bends the tip by about one side: F L^3 / 3 E I = 22 mm by beam theory.
+# Bends the tip by about one side: F L^3 / 3 E I = 22 mm according to beam theory.
 GOLD_FORCE_N = 0.026
 WRONG = 1.2  # F1 to F4 as multiples of F0
 
@@ -53,7 +53,7 @@ NODES: dict[Scale, int] = {"sketch": 600, "reduced": 3_000, "full": 30_000}
 VOXEL_MM: dict[Scale, float] = {"sketch": 2.0, "reduced": 1.0, "full": 0.5}
 
 
-# Displacement of the nodes in mm, and the outcome of the simulation.
+# Displacements of the nodes in mm, and the outcome of the simulation.
 Bent = tuple[FloatArray, Outcome]
 
 
@@ -65,9 +65,9 @@ class Bar:
     ----------
     mesh : TetMesh
     model : Model
-        Prepared for the solver.
+        The mesh, prepared for the solver.
     voxels : Volume
-        Labelled glandular inside, the label that scores compare.
+        Labelled glandular inside the bar, because scores compare that label.
     """
 
     mesh: TetMesh
@@ -77,12 +77,12 @@ class Bar:
 
 @dataclass(frozen=True)
 class BarRow:
-    """One wrong deformation against the gold one.
+    """Comparison of a wrong deformation with the gold standard.
 
     Parameters
     ----------
     number : int
-        1 to 8, from best to worst.
+        Number of the deformation, 1 to 8, from best to worst.
     forces : str
         Applied forces, in the notation of the thesis.
     force_n : tuple of float
@@ -92,7 +92,7 @@ class BarRow:
     outcome : Outcome
         Outcome of the simulation.
     coefficients : Coefficients or None
-        None if it did not converge.
+        None if the simulation did not converge.
     """
 
     number: int
@@ -170,7 +170,7 @@ def bend(bar: Bar, force_n: Triple, material: Constants = GEL) -> Bent:
 
 
 def force_of(number: int) -> Triple:
-    """Return the sum of the forces of deformation `number` in N; 0 is the gold one."""
+    """Return the sum of the forces of deformation `number` in N; 0 is the gold standard."""
     parts = (_F0,) if number == 0 else DEFORMATIONS[number][1]
     total = np.sum(parts, axis=0) * GOLD_FORCE_N
     return float(total[0]), float(total[1]), 0.0
@@ -179,16 +179,16 @@ def force_of(number: int) -> Triple:
 def compared_bars(
     scale: Scale, bar: Bar, bent: Mapping[int, Bent], surface: Surface = "boundary"
 ) -> BarExperiment:
-    """Compare bent bars: number 0 is the gold one, 1 to 8 the others.
+    """Compare bent bars; number 0 is the gold standard, 1 to 8 are the others.
 
     Raises
     ------
     InputError
-        If the gold deformation did not converge.
+        If the gold standard did not converge.
     """
     displacement, outcome = bent[0]
     if not outcome.converged:
-        raise InputError(f"The gold deformation of the bar does not converge: {outcome.reason}.")
+        raise InputError(f"The gold standard of the bar does not converge: {outcome.reason}.")
     gold = warp_labels(bar.voxels, bar.mesh, displacement)
     rows = tuple(bar_row(bar, gold, number, bent[number], surface) for number in DEFORMATIONS)
     tip = _tip(bar, displacement)
@@ -198,7 +198,7 @@ def compared_bars(
 def bar_row(
     bar: Bar, gold: Volume, number: int, bent: Bent, surface: Surface = "boundary"
 ) -> BarRow:
-    """Compare wrong deformation `number` with the voxels of the gold one."""
+    """Compare wrong deformation `number` with the voxels of the gold standard."""
     force = force_of(number)
     displacement, outcome = bent
     compared = None

@@ -33,7 +33,7 @@ REDUCTION: dict[View, float] = {"CC": 0.50, "MLO": 0.25}
 # et al. (2006); here they have the same shear moduli, two thirds of them in c10.
 SHEAR_MPA = {Tissue.FAT: 0.01275, Tissue.GLANDULAR: 0.03675}
 POISSON, C10_SHARE = 0.49, 2 / 3
-# Nodes initially in contact with the fixed plate are held; on a round body they are few.
+# Nodes initially in contact with the fixed plate are held; a round body has few of them.
 TOUCHING_MM = 2.0
 
 
@@ -44,12 +44,12 @@ class Compressed:
     Parameters
     ----------
     compartments : Volume or None
-        Ids of the glandular compartments, 0 elsewhere; None if it did not converge.
+        Ids of the glandular compartments, 0 elsewhere; None if the solver did not converge.
     labels : Volume or None
         All tissues, for a mammogram.
     outcome : Outcome
     seconds_per_1000 : float
-        Processor time of the solver over thousands of tetrahedra (thesis Fig. 4.16).
+        Processor time of the solver per 1000 tetrahedra (thesis Fig. 4.16).
     """
 
     compartments: Volume | None
@@ -69,11 +69,11 @@ class CompressionRow:
     law : {"neo-Hookean", "Mooney-Rivlin"}
     adaptive, homogeneous : Outcome
     compartments : int
-        Compartments with voxels in both.
+        Number of compartments with voxels on both meshes.
     lost : int
-        Compartments with voxels in one only; excluded from all means.
+        Number of compartments with voxels on one mesh only; excluded from all means.
     centroid_mm, volume_mm3 : float
-        Distance of the centroids; magnitude of the difference of the volumes.
+        Distance between the centroids; magnitude of the difference in volume.
     jc, mhd_mm : float
     whole_jc, whole_mhd_mm : float
         Scores of all glandular compartments as one set.
@@ -118,12 +118,12 @@ def constants_of(law: LawName) -> dict[Tissue, Constants]:
 
 
 def compression_problem(labels: Volume, view: View, law: LawName) -> Problem:
-    """Return the problem of two frictionless plates, of which the one above the body moves.
+    """Return the problem of two frictionless plates, of which the upper one moves.
 
     The chest wall slides in its plane, and the nodes initially in contact with the fixed plate are
-    held in all directions. They are selected by the voxels, so that two meshes are held in the same
-    place. With this literal reading an oblique body can rotate between the plates until they
-    press it.
+    held in all directions. They are selected by voxel, so that two meshes are held in the same
+    place. With this literal reading of the thesis, a body in an oblique view can rotate between the
+    plates until both press it.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def _as_set(ids: Volume) -> Volume:
 
 
 def _each_compartment(first: Volume, second: Volume) -> tuple[FloatArray, int]:
-    """Return centroid distance, volume difference, JC and MHD of each compartment, shape (k, 4).
+    """Return centroid distance, volume difference, JC and MHD per compartment, shape (k, 4).
 
     Also return the number of compartments with voxels in one volume only.
     """

@@ -28,7 +28,7 @@ class CylinderRow:
     ----------
     angle_deg : float
     jc, dc : float
-        Jaccard and Dice coefficient.
+        Jaccard and Dice coefficients.
     mhd_mm : float
         The variant D22.
     gsf : float
@@ -43,10 +43,10 @@ class CylinderRow:
 
 
 def cylinder(angle_deg: float, voxel_mm: float) -> Volume:
-    """Return voxels of a cylinder in the x-y plane whose axis is rotated from x by an angle.
+    """Return the voxels of a cylinder whose axis is rotated from x by an angle in the x-y plane.
 
-    A voxel belongs to it if its centre does. Voxel centres are half a voxel off the planes of
-    symmetry, so that a rotation by 180 degrees gives the same voxels.
+    A voxel belongs to the cylinder if its centre does. Voxel centres are half a voxel off the
+    planes of symmetry, so that a rotation by 180 degrees gives the same voxels.
 
     Raises
     ------
@@ -54,13 +54,13 @@ def cylinder(angle_deg: float, voxel_mm: float) -> Volume:
         If the voxel size is not positive.
     """
     if not voxel_mm > 0:
-        raise InputError(f"Voxels need a size > 0, got {voxel_mm:g} mm.")
+        raise InputError(f"The voxel size must be > 0 mm, got {voxel_mm:g} mm.")
     reach = math.hypot(LENGTH_MM / 2, RADIUS_MM) + voxel_mm
     n, n_z = (2 * math.ceil(r / voxel_mm) for r in (reach, RADIUS_MM + voxel_mm))
     at = (np.arange(n) - (n - 1) / 2) * voxel_mm
     z = ((np.arange(n_z) - (n_z - 1) / 2) * voxel_mm)[:, None, None]
     turn = math.radians(angle_deg)
-    # Rounded so that rotations by 90 or 180 degrees have no error in the last digit.
+    # Rounded so that rotations by 90 or 180 degrees are exact.
     c, s = round(math.cos(turn), 15), round(math.sin(turn), 15)
     along = np.abs(c * at[None, :] + s * at[:, None])
     across = (c * at[:, None] - s * at[None, :]) ** 2
@@ -71,7 +71,7 @@ def cylinder(angle_deg: float, voxel_mm: float) -> Volume:
 
 
 def cylinder_row(angle_deg: float, voxel_mm: float, surface: Surface = "boundary") -> CylinderRow:
-    """Compare the rotated cylinder with the one along x."""
+    """Compare the rotated cylinder with the cylinder along x."""
     turned, still = cylinder(angle_deg, voxel_mm), cylinder(0.0, voxel_mm)
     found = coefficients(turned, still, (Tissue.GLANDULAR,), surface)
     return CylinderRow(angle_deg, found.jc, found.dc, found.mhd_mm, found.gsf)

@@ -1,7 +1,7 @@
 """The searches of thesis section 4.5: bodies, targets, bounds.
 
-The thesis gives X1 to phantoms 1 to 5, X2 to 6 to 10, both without skin, and X3, with skin,
-to phantoms 1 to 5 again.
+The thesis assigns target X1 to phantoms 1 to 5 and X2 to phantoms 6 to 10, both without skin, and
+X3, with skin, to phantoms 1 to 5 again.
 """
 
 from dataclasses import asdict
@@ -36,7 +36,7 @@ BOUNDS: dict[str, tuple[float, float]] = {
 PHANTOMS: dict[TargetName, range] = {"X1": range(1, 6), "X2": range(6, 11), "X3": range(1, 6)}
 NODES: dict[Scale, int] = {"sketch": 1_200, "reduced": 5_000, "full": 90_000}
 SPACING_MM: dict[Scale, float] = {"sketch": 1.0, "reduced": 0.5, "full": 0.2}
-# The reduced body is half as long in every direction; this gives the same pressure.
+# The reduced body is half as long in every direction; this force gives the same pressure.
 FORCE_N: dict[Scale, float] = {"sketch": 25.0, "reduced": 25.0, "full": 100.0}
 
 
@@ -61,7 +61,7 @@ def case_of(target: TargetName, number: int, scale: Scale) -> dict[str, Any]:
     """
     check_scale(scale)
     if target not in get_args(TargetName):
-        raise InputError(f"The targets are {', '.join(TARGETS)}; got {target!r}.")
+        raise InputError(f"The target must be one of {', '.join(TARGETS)}; got {target!r}.")
     body = FULL if scale == "full" else REDUCED
     phantom = asdict(body) | {
         "preset": "250ml",

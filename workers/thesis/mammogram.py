@@ -18,18 +18,18 @@ PIXEL_MM: dict[Scale, float] = {"sketch": 0.8, "reduced": 0.3, "full": 0.2}
 
 @dataclass(frozen=True, eq=False)
 class MammogramPair:
-    """Mammograms of adaptive and homogeneous mesh from the same unit.
+    """Mammograms of a phantom on its adaptive and homogeneous meshes, from the same unit.
 
     Parameters
     ----------
     adaptive, homogeneous : Mammogram
         Mammograms with different noise of equal strength.
     adaptive_picture, homogeneous_picture, difference : ndarray of uint8
-        Bright where tissue is dense; grey where both agree.
+        Mammograms, bright where tissue is dense, and their difference, grey where both agree.
     attenuation_rms : float
-        Root mean square of the difference of ln(open / energy) behind the body.
+        Root mean square of the difference in ln(open / energy) behind the body.
     quantum_rms : float
-        Contribution of noise alone.
+        Contribution of noise alone to `attenuation_rms`.
     """
 
     adaptive: Mammogram
@@ -55,12 +55,12 @@ def mammogram_pair(
     Raises
     ------
     InputError
-        If one of them did not converge.
+        If one of the compressions did not converge.
     """
     first, second = adaptive.labels, homogeneous.labels
     if first is None or second is None:
         reasons = [c.outcome.reason for c in (adaptive, homogeneous) if c.labels is None]
-        raise InputError(f"A diverged body has no mammogram: {'; '.join(reasons)}.")
+        raise InputError(f"A mammogram needs a converged compression: {'; '.join(reasons)}.")
     geometry = geometry_of(first, AXES[view], Unit(pixel_mm=pixel_mm))
     spectrum = spectrum_of(beam)
     clean = [expose(body, geometry, spectrum) for body in (first, second)]

@@ -22,8 +22,8 @@ MeshKind = Literal[
     "adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm", "homogeneous", "fTetWild"
 ]
 KINDS: tuple[MeshKind, ...] = get_args(MeshKind)
-# Smallest cells of each adaptive mesh in mm. The first resolves ligaments of 0.6 mm
-# between glandular compartments; edges reach from half of it to 5 mm.
+# Size of the smallest cells of each adaptive mesh in mm. The first resolves ligaments of 0.6 mm
+# between glandular compartments; edges range from half that size to 5 mm.
 SMALLEST_MM: dict[MeshKind, float] = {
     "adaptive": 0.7,
     "adaptive 1 mm": 1.0,
@@ -33,16 +33,16 @@ SMALLEST_MM: dict[MeshKind, float] = {
 # 425,000 tetrahedra in 250 ml, 12 to a cell: 0.588 mm3 each (thesis section 4.4.3).
 HOMOGENEOUS_CELL_MM = float(np.cbrt(12 * 250_000 / 425_000))
 MEASURES = ("M1", "M2", "M3", "M4", "aspect")
-# Of the histograms: the measures are between 0 and 1, aspect ratios from 10 on are bad.
+# Bins of the histograms; the measures are between 0 and 1, and aspect ratios from 10 up are bad.
 BINS = 40
 RANGES = {name: (1.0, 10.0) if name == "aspect" else (0.0, 1.0) for name in MEASURES}
-# Factors on the cell sizes.
+# Factors by which the cells are enlarged.
 COARSER: dict[Scale, float] = {"sketch": 2.4, "reduced": 1.0, "full": 1.0}
 
 
 @dataclass(frozen=True)
 class QualityRow:
-    """One mesh of one phantom.
+    """Quality of one mesh of one phantom.
 
     Parameters
     ----------
@@ -51,14 +51,14 @@ class QualityRow:
         See `KINDS`.
     tets, nodes : int
     seconds : float
-        Processor seconds to make the mesh and its coarser levels.
+        Processor time to make the mesh and its coarser levels.
     mean : dict of str to float
         Means of M1 to M4 and the aspect ratio, all 1 for a regular tetrahedron.
     m5 : float
-        Smallest over largest volume.
+        Ratio of the smallest to the largest volume.
     worst_aspect : float
     bad : int
-        Tetrahedra of aspect ratio 10 or more.
+        Number of tetrahedra with an aspect ratio of 10 or more.
     agreement : Agreement
         Agreement with the voxels of the phantom.
     histograms : dict of str to tuple of int
@@ -80,7 +80,7 @@ class QualityRow:
 
 @dataclass(frozen=True)
 class AspectRow:
-    """Average and worst aspect ratio of one kind over all phantoms (thesis Table 4.2)."""
+    """Average and worst aspect ratios of one kind of mesh over all phantoms (thesis Table 4.2)."""
 
     kind: MeshKind
     average: float
@@ -88,7 +88,7 @@ class AspectRow:
 
 
 def mesh_of(materials: Volume, kind: MeshKind, scale: Scale = "reduced") -> Hierarchy:
-    """Mesh a phantom of two materials for the solver.
+    """Mesh a phantom with two materials for the solver.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def mesh_of(materials: Volume, kind: MeshKind, scale: Scale = "reduced") -> Hier
 
 
 def kinds_at(scale: Scale, *, other_mesher: bool) -> tuple[MeshKind, ...]:
-    """Return the kinds measured at a scale; the coarsest cells do not fit a sketch."""
+    """Return the kinds measured at a scale; the coarsest cells are too large for a sketch."""
     large = {"sketch": ("adaptive 2 mm", "adaptive 3 mm"), "reduced": (), "full": ()}[scale]
     return tuple(k for k in KINDS if k not in large and (other_mesher or k != "fTetWild"))
 
@@ -124,7 +124,7 @@ class MadeMesh:
     materials : Volume
         The phantom, see `workers.thesis.phantoms.two_materials`.
     seconds : float
-        Processor seconds to make it.
+        Processor time to make the mesh.
     """
 
     mesh: TetMesh
@@ -193,7 +193,7 @@ def _histogram(values: FloatArray, limits: tuple[float, float]) -> tuple[int, ..
 
 
 def aspect_rows(rows: tuple[QualityRow, ...]) -> tuple[AspectRow, ...]:
-    """Return average and worst aspect ratio of each kind of mesh (thesis Table 4.2)."""
+    """Return average and worst aspect ratios of each kind of mesh (thesis Table 4.2)."""
     found = []
     for kind in KINDS:
         of_kind = [row for row in rows if row.kind == kind]

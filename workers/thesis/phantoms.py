@@ -11,10 +11,10 @@ from palpate.workers.thesis.scale import Scale, check_scale
 
 COUNT = 10
 SPARSEST, DENSEST = 0.07, 0.35
-# The thesis states 250 ml and 170 x 100 x 50 mm, which is a body of 445 ml; this is the
-# one of 250 ml, with voxels of 0.2 mm.
+# The thesis gives 250 ml and 170 x 100 x 50 mm, but a body of that size has 445 ml; this one has
+# 250 ml, and voxels of 0.2 mm.
 FULL = BreastPhantom.preset("250ml", spacing_mm=0.2)
-# An eighth of that volume with compartments, ligaments and skin of the same size.
+# An eighth of that volume, with compartments, ligaments and skin of the same size.
 REDUCED = BreastPhantom(
     lower_mm=18.75,
     upper_mm=66.25,
@@ -27,7 +27,7 @@ REDUCED = BreastPhantom(
 # The same body in coarse voxels.
 SKETCH = replace(REDUCED, spacing_mm=1.0)
 SETTINGS: dict[Scale, BreastPhantom] = {"sketch": SKETCH, "reduced": REDUCED, "full": FULL}
-# Phantoms used by an experiment: a sketch uses one of the first five, and one of the others.
+# Phantoms used by an experiment: a sketch uses one of the first five and one of the others.
 NUMBERS: dict[Scale, tuple[int, ...]] = {
     "sketch": (3, 8),
     "reduced": tuple(range(1, COUNT + 1)),
@@ -36,9 +36,9 @@ NUMBERS: dict[Scale, tuple[int, ...]] = {
 
 
 def density_of(number: int) -> float:
-    """Return the glandular fraction of phantom `number`, 1 to 10: evenly from 7 to 35 %."""
+    """Return the glandular fraction of phantom `number`, 1 to 10, evenly spaced from 7 to 35 %."""
     if not 1 <= number <= COUNT:
-        raise InputError(f"The phantoms have the numbers 1 to {COUNT}, got {number}.")
+        raise InputError(f"The number of a phantom must be 1 to {COUNT}, got {number}.")
     return float(np.linspace(SPARSEST, DENSEST, COUNT)[number - 1])
 
 

@@ -4,7 +4,7 @@ from typing import Literal
 
 from palpate.storage.errors import InputError
 
-# A sketch takes a minute and shows the kind of results; its numbers mean little.
+# A sketch takes a minute and shows what the results look like; its numbers mean little.
 Scale = Literal["sketch", "reduced", "full"]
 SCALES: tuple[Scale, ...] = ("sketch", "reduced", "full")
 

@@ -24,10 +24,10 @@ class Selection:
         The deformations that converged.
     kept, rejected : tuple of str
         Hausdorff variants under which each of deformations 5 to 7 is worse than each of 1
-        to 4, and the others.
+        to 4, and the remaining variants.
     monotone : dict of str to bool
-        True if a coefficient, including GSF, worsens from each of `GROUPS` to the next. For
-        volume difference and signed mean the magnitude counts, for JC and DC the fall.
+        True if a coefficient, including GSF, worsens from each of `GROUPS` to the next. Volume
+        difference and signed mean worsen as their magnitude grows, JC and DC as they fall.
     """
 
     curves: dict[str, tuple[float, ...]]
@@ -38,7 +38,7 @@ class Selection:
 
 
 def select(experiment: BarExperiment) -> Selection:
-    """Apply the argument of the thesis to the rows that converged."""
+    """Apply the thesis' argument to the rows that converged."""
     rows = [(row.number, row.coefficients) for row in experiment.rows if row.coefficients]
     values = {name: {n: c.by_name[name] for n, c in rows} for name in NAMES}
     values["GSF"] = {n: c.gsf for n, c in rows}
@@ -54,7 +54,7 @@ def select(experiment: BarExperiment) -> Selection:
 
 
 def _misfit(name: str, values: dict[int, float]) -> dict[int, float]:
-    """Return the values with signs such that more is worse."""
+    """Return the values with signs chosen so that larger is worse."""
     if name in OVERLAPS:
         return {n: -v for n, v in values.items()}
     if name in SIGNED:
@@ -63,7 +63,7 @@ def _misfit(name: str, values: dict[int, float]) -> dict[int, float]:
 
 
 def monotone_in_groups(misfit: dict[int, float]) -> bool:
-    """Return True if the misfits of each group all exceed those in the group before."""
+    """Return True if all misfits of each group exceed all misfits of the previous group."""
     return all(_worse(misfit, better, worse) for better, worse in pairwise(GROUPS))
 
 

@@ -1,4 +1,4 @@
-"""Boxes of quadratic tetrahedra, compressed between plates normal to y."""
+"""Boxes of quadratic tetrahedra, compressed by plates normal to y."""
 
 from itertools import permutations
 
@@ -13,7 +13,7 @@ Y_FRAME = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 
 def block(counts, sides):
-    """Return a box from x, y = -side / 2 and z = 0, six tetrahedra per cell (Kuhn)."""
+    """Return a box that starts at x, y = -side / 2 and z = 0, six tetrahedra per cell (Kuhn)."""
     nx, ny, nz = counts
     axes = [np.linspace(-0.5, 0.5, n + 1) for n in (nx, ny)] + [np.linspace(0, 1, nz + 1)]
     x, y, z = np.meshgrid(*axes, indexing="ij")
@@ -35,21 +35,21 @@ def block(counts, sides):
 
 
 def materials(mesh: QuadraticMesh, mu=0.01, kappa=0.5, eta=0.0, fung=0.0, growth=1.0):
-    """Return uniform materials, fibres along z."""
+    """Return uniform materials with fibres along z."""
     shape = (len(mesh.cells), 4)
     fibre = np.tile([0.0, 0.0, 1.0], (*shape, 1))
     return ElementMaterials(*(np.full(shape, v) for v in (mu, kappa, eta, fung, growth)), fibre)
 
 
 def plates(half, slopes=(0.0, 0.0), sag=0.0, edge=-np.inf):
-    """Return plates at y = -half and half, both from z = edge; the upper one slopes and sags."""
+    """Return plates at y = -half and half that start at z = edge; the upper one slopes and sags."""
     pivot = np.zeros(3)
     lower = Plate(Y_FRAME, pivot, -half, -1.0, np.zeros(2), 0.0, 50.0, edge)
     return lower, Plate(Y_FRAME, pivot, half, 1.0, np.array(slopes), sag, 50.0, edge)
 
 
 def wall(topology: Topology, spring):
-    """Return springs in MPa/mm along x and y, fixed along z."""
+    """Return a wall with springs in MPa/mm along x and y, fixed along z."""
     places = (len(topology.mesh.wall), len(FACE_WEIGHTS), 1)
     return Wall(np.tile([spring, spring, 0.0], places))
 

@@ -1,4 +1,4 @@
-"""The generator has the nominal physics assumed by the diagnosis."""
+"""The generator follows the nominal physics that the diagnosis assumes."""
 
 from dataclasses import replace
 
@@ -52,7 +52,7 @@ def service_problem(truth, load, frame):
 
 
 @pytest.mark.parametrize("number", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_control_moves_like_the_solution_of_the_diagnosis(truth, body, number):
+def test_control_moves_like_the_nominal_model_of_the_diagnosis(truth, body, number):
     load = truth.loads[number]
     ours = solve_scene(truth.scene, topology_of(body.mesh), body.labels, [load])[0]
     hierarchy = build_hierarchy(body.labels, nodes=5000)

@@ -51,7 +51,7 @@ def body():
 
 
 @pytest.mark.slow
-def test_truth_is_on_the_interfaces_in_the_scans(folder):
+def test_true_points_are_on_the_interfaces_in_the_scans(folder):
     case, hidden = made(folder, 4, "tilt")
     truth = np.load(hidden / "truth.npz")
     noise = json.loads((hidden / "truth.json").read_text())["noise_sd_mm"]
@@ -62,7 +62,7 @@ def test_truth_is_on_the_interfaces_in_the_scans(folder):
         for number, interface in enumerate((OUTLINE, GLANDULAR)):
             mine = truth["interface"] == number
             away, _ = signed_distance(labels, interface.inside).at((truth["points"] + move)[mine])
-            # At thin strands the nearest boundary may be another one.
+            # At thin strands, the nearest boundary may be a different one.
             near = away[np.abs(away) < 4 * noise]
             assert len(near) > 0.9 * len(away)
             assert abs(np.median(near)) < 0.08
@@ -70,8 +70,8 @@ def test_truth_is_on_the_interfaces_in_the_scans(folder):
 
 
 @pytest.mark.slow
-def test_scan_of_the_hard_world_has_its_pose(folder):
-    """A pose two millimetres off along y in the second scan, and no other cause."""
+def test_hard_world_scan_has_its_drawn_pose(folder):
+    """The second scan is shifted by two millimetres along y, with no other cause."""
     pose = (0.0, 2.0, 0.0, 0.0, 0.0, 0.0)
     off = Deviations(noise_factor=0.5, poses=((0.0,) * 6, pose))
     truth = replace(draw(4, "control", one_direction=True), deviations=off)
@@ -89,8 +89,8 @@ def test_scan_of_the_hard_world_has_its_pose(folder):
 
 
 @pytest.mark.slow
-def test_scan_of_another_scale_has_a_larger_body(folder):
-    """By 2 % along y, about the middle of the body at rest: 0.9 mm at a flank of 45 mm."""
+def test_image_scale_enlarges_the_body_in_its_scan(folder):
+    """The body grows by 2 % along y about its middle at rest: 0.9 mm at a flank of 45 mm."""
     truth = draw(4, "control", one_direction=True)
     scale = ImageScale((0.0, 0.02, 0.0), truth.anatomy.centre_mm)
     truth = replace(truth, causes=(scale,))
@@ -109,7 +109,7 @@ def test_scan_of_another_scale_has_a_larger_body(folder):
         assert np.median(np.abs(unscaled)) > 0.4
 
 
-def test_loads_move_the_body_more_than_noise_in_order_of_size(folder):
+def test_larger_loads_move_the_body_further_and_all_exceed_noise(folder):
     _, hidden = made(folder, 4, "tilt")
     truth = np.load(hidden / "truth.npz")
     low, high = np.linalg.norm(truth["displacement"], axis=2).mean(axis=1)
@@ -160,13 +160,13 @@ def test_case_names_loads_axes_and_plates(folder):
         labels = read_volume(case / entry["volume"])
         assert labels.values.dtype == np.uint8
         assert set(np.unique(labels.values)) == {Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR}
-        # Air on all sides, so that no interface is cut but at the chest wall.
+        # Air on all sides, so that no interface is cut except at the chest wall.
         for axis in range(3):
             assert not labels.values.take([0, -1], axis=axis).any()
 
 
 @pytest.mark.slow
-def test_noise_has_its_stated_size_and_length(body):
+def test_noise_has_the_given_size_and_correlation_length(body):
     labels = padded(body.labels, 6.0)
     hands = [segmented(labels, Segmenter(0.3), np.random.default_rng(s)) for s in (1, 2)]
     noise = from_repeat(*hands, spacing_mm=3.0, clear_mm=1.5)
@@ -175,7 +175,7 @@ def test_noise_has_its_stated_size_and_length(body):
 
 
 def test_offsets_move_the_boundaries_by_their_size():
-    # A ball of 15 mm with a glandular one of 8 mm in it.
+    # A ball of 15 mm that contains a glandular ball of 8 mm.
     axis = (np.arange(50) - 24.5) * 0.8
     far = np.sqrt(axis[:, None, None] ** 2 + axis[:, None] ** 2 + axis**2)
     values = (far < 15).astype(np.uint8) + (far < 8)
@@ -191,7 +191,7 @@ def test_offsets_move_the_boundaries_by_their_size():
     assert shrunk == pytest.approx(-0.4, abs=0.1)
 
 
-def test_material_points_follow_a_quadratic_field(body):
+def test_material_points_follow_a_quadratic_field_exactly(body):
     points = points_on(body.mesh, body.labels, 300, 7)
     assert set(points.interface) == {0, 1}
     assert points.points[:, 2].min() > 4
@@ -218,7 +218,7 @@ def test_fine_elements_fill_the_body_and_interpolate_a_quadratic_field(body):
     assert len(six) == 64 * len(whole)
     assert six.min() > 0
     assert six.sum() == pytest.approx(np.linalg.det(whole[:, 1:] - whole[:, :1]).sum())
-    # Neighbours share their nodes: about 10.7 tetrahedra per two nodes of a large mesh.
+    # Neighbours share their nodes: a large mesh has about 10.7 tetrahedra per two nodes.
     assert len(fine.mesh.nodes) < len(six) / 4.5
 
     def bent(x):

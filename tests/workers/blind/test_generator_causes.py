@@ -1,4 +1,4 @@
-"""Effects of causes on a body, by laws that need no second solver."""
+"""Effects of causes on a body, checked against laws that need no second solver."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def body(truth):
 
 @pytest.fixture(scope="module")
 def pressed(truth, body):
-    """Return a function that solves the smaller load, with a cause or without."""
+    """Return a function that solves the smaller load, with or without a cause."""
     topology = topology_of(body.mesh)
 
     def solve(cause=None):
@@ -89,8 +89,8 @@ def test_short_plates_press_only_in_front_of_their_edge(truth, body, pressed):
     assert (x[in_front, 1] > upper - 0.3).any()
 
 
-def test_rising_wall_is_in_place_and_pushes_the_body(truth, body, pressed, control):
-    """Tissue hardly loses volume: the volume of the rise is pushed out in front."""
+def test_rising_wall_moves_as_given_and_pushes_the_body(truth, body, pressed, control):
+    """Tissue hardly loses volume, so the volume of the rise is pushed out in front."""
     cause = WallRise(5.0, -3.0, 20.0, 2.0)
     wall = np.unique(body.mesh.wall)
     found = pressed(cause)
@@ -125,7 +125,7 @@ def test_area_of_the_skin_matches_the_mesh_and_a_sphere(truth, body):
     assert truth.anatomy.depth_inside(points) == pytest.approx(0, abs=1e-9)
     x = body.mesh.nodes[body.mesh.skin[:, :3]]
     meshed = 0.5 * np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum()
-    # A body of voxels has no corner at the chest wall, flat faces are smaller than round ones.
+    # A voxel body has no corner at the chest wall, and flat faces are smaller than curved ones.
     assert areas.sum() == pytest.approx(meshed, rel=0.03)
     ball = Anatomy(0, 50.0, 50.0, 50.0, 50.0, 40, 0.2)
     points, areas = ball.skin()
@@ -133,7 +133,7 @@ def test_area_of_the_skin_matches_the_mesh_and_a_sphere(truth, body):
     assert areas[points[:, 0] > 25].sum() == pytest.approx(np.pi * 50 * 25, rel=0.01)
 
 
-def test_tether_keeps_its_stiffness_on_the_mesh(truth, body):
+def test_tether_stiffness_is_preserved_on_the_mesh(truth, body):
     skin = topology_of(body.mesh).skin
     totals = []
     for seed in range(60):

@@ -1,4 +1,4 @@
-"""Forces and tangents of tissue, skin, springs and plates against central differences."""
+"""Forces and tangents of tissue, skin, springs and plates, checked by central differences."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def systems(mesh):
     smooth = np.zeros(top.skin.areas.shape)
     of, still = materials(mesh), np.zeros(3)
     flat, bent = plates(2.5), plates(2.6, slopes=(0.1, -0.07), sag=4.0)
-    # Most points of the skin are where the plates start to press, or fully do.
+    # Most points of the skin are where the plates start to press, or fully press.
     short = plates(2.6, slopes=(0.1, -0.07), sag=4.0, edge=-0.5)
     springs = np.random.default_rng(6).uniform(0, 1e-2, smooth.shape)
     return {
@@ -63,7 +63,7 @@ def systems(mesh):
 
 
 def nudged(system, state, seed):
-    """Return a random direction of all free components, including the travel."""
+    """Return a random direction in all free components, including the travel."""
     rng = np.random.default_rng(seed)
     return State(rng.standard_normal(state.u.shape) * system.free, rng.standard_normal())
 

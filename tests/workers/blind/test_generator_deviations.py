@@ -34,7 +34,7 @@ def test_body_causes_and_loads_are_the_same_in_both_worlds(kind):
     assert hard.deviations != plain.deviations
 
 
-def test_deviations_have_their_stated_sizes():
+def test_deviations_have_the_documented_sizes():
     off = [truth.deviations for truth in HARD]
     assert len({one.nu for one in off}) > 50
     assert all(0.488 <= one.nu <= 0.492 for one in off)
@@ -53,13 +53,13 @@ def test_deviations_have_their_stated_sizes():
 
 
 def test_bodies_of_any_shape_fill_the_same_box_without_folds():
-    """No point passes another: the map preserves orientation everywhere."""
+    """The map preserves orientation everywhere, so no point passes another."""
     inside = np.random.default_rng(3).uniform(-1, 1, (4000, 3)) * [1.0, 1.0, 0.5] + [0, 0, 0.5]
     for truth in HARD[:30]:
         body = truth.anatomy
         points = inside * body.half_mm * [1, 1, 2] + [body.centre_mm[0], 0, 0]
         shape = truth.deviations.shape
-        # Differences along the axes, of all points at once: the box is that of the points.
+        # Differences along the axes of all points at once, because the points define the box.
         moved = np.array([shape.moved(points + h) - shape.moved(points) for h in 1e-4 * np.eye(3)])
         assert np.linalg.det(moved.transpose(1, 2, 0) / 1e-4).min() > 0.3
         there = shape.moved(points)
@@ -123,7 +123,7 @@ def block():
     return Volume(values, (0.8, 0.8, 0.8), (0.0, 0.0, 0.0))
 
 
-def test_noise_grows_towards_the_wall():
+def test_noise_increases_towards_the_wall():
     sd = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
@@ -134,7 +134,7 @@ def test_noise_grows_towards_the_wall():
     assert 1.3 < wall / nipple < 4.0
 
 
-def test_pieces_of_gland_are_missed_and_added():
+def test_hard_world_scans_miss_and_add_pieces_of_gland():
     true = block().values == Tissue.GLANDULAR
     plain = segmented(block(), Segmenter(0.05), np.random.default_rng(7)).values == 2
     off = segmented(block(), Segmenter(0.05, pieces=1), np.random.default_rng(7)).values == 2

@@ -1,4 +1,4 @@
-"""The distribution of random cases, and their terms, which match the diagnosis."""
+"""The distribution of random cases, and terms shared with the diagnosis."""
 
 import ast
 import json
@@ -102,7 +102,7 @@ def test_fields_of_a_cause_are_finite_everywhere_in_the_box(kind):
 
 @pytest.mark.parametrize(("kind", "count"), [("pair", 2), ("triple", 3)])
 def test_simultaneous_causes_have_different_effects(kind, count):
-    """An adhesion and a tether are one effect; 60 triples would combine them in five."""
+    """An adhesion and a tether are one effect; five of 60 triples would otherwise combine them."""
     for seed in range(60):
         truth = draw(seed, kind)
         assert len(truth.causes) == len(truth.families) == count
@@ -110,8 +110,8 @@ def test_simultaneous_causes_have_different_effects(kind, count):
         assert all(type(c) in SINGLES for c in truth.causes)
 
 
-def test_magnitudes_have_their_stated_ranges():
-    """Ranges given in the classes, spread evenly on a logarithmic scale."""
+def test_magnitudes_have_the_documented_ranges():
+    """Ranges from the classes, evenly spread on a logarithmic scale."""
     ranges = {
         "swelling": ("volume_fraction", 0.01, 0.12),
         "oedema": ("volume_fraction", 0.05, 0.5),
@@ -126,13 +126,13 @@ def test_magnitudes_have_their_stated_ranges():
         assert np.median(np.log(sizes)) == pytest.approx(np.log(low * high) / 2, abs=0.3)
 
 
-def test_fibres_of_the_gland_are_stiffer_or_softer():
+def test_glandular_fibres_are_stiffer_or_softer_than_fat():
     ratios = np.log([draw(seed, "fibre_contrast").causes[0].ratio for seed in range(200)])
     assert np.log(1.5) <= np.abs(ratios).min() < np.abs(ratios).max() <= np.log(15.0)
     assert 60 < np.count_nonzero(ratios > 0) < 140
 
 
-def test_scans_are_too_large_or_too_small_along_one_axis():
+def test_image_scale_is_too_large_or_too_small_along_one_axis():
     scales = np.array([draw(seed, "image_scale").causes[0].scale for seed in range(200)])
     assert (np.count_nonzero(scales, axis=1) == 1).all()
     assert (np.count_nonzero(scales, axis=0) > 40).all()
@@ -150,7 +150,7 @@ def test_lumps_are_inside_the_body():
         along = body.upper_mm if x > 0 else body.lower_mm
         assert (x / along) ** 2 + (y / body.half_width_mm) ** 2 + (z / body.depth_mm) ** 2 < 1
         assert z >= lump.radius_mm
-        # The volume equals a ball of its radius, whatever the stretch.
+        # The volume is that of a ball of the lump's radius, whatever the stretch.
         inside = truth.scene.ln_stiffness[0]
         sharp = replace(lump, fade=0.0).apply_to(Scene(body, truth.constants)).ln_stiffness[0]
         cloud = np.random.default_rng(1).uniform(-30, 30, (40_000, 3)) + lump.centre_mm
@@ -159,7 +159,7 @@ def test_lumps_are_inside_the_body():
         assert inside(np.array([lump.centre_mm]))[0] == pytest.approx(np.log(lump.ratio))
 
 
-def test_loads_use_both_axes_and_increase():
+def test_loads_use_both_axes_with_increasing_forces():
     loads = draw(3).loads
     assert [load.axis for load in loads] == ["y", "y", "x", "x"]
     assert loads[0].force_n < loads[1].force_n
@@ -182,7 +182,7 @@ def test_refuses_invalid_seeds(seed):
         draw(seed)
 
 
-def test_unknown_kind_is_refused_with_a_list():
+def test_error_for_an_unknown_kind_lists_the_kinds():
     with pytest.raises(InputError, match="bent_plate"):
         draw(1, "bending")
 

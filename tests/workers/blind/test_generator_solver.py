@@ -1,4 +1,4 @@
-"""Blocks between plates against exact solutions and another solver."""
+"""Blocks between plates, checked against exact solutions and another solver."""
 
 import felupe
 import numpy as np
@@ -28,7 +28,7 @@ def at_rest(system, force_n, tolerance=1e-7):
 
 
 def density(stretches, mu, kappa, eta, fung):
-    """Return the energy of a block stretched along x, y and z, with fibres along z."""
+    """Return the energy density of a block stretched along x, y and z, with fibres along z."""
     J = np.prod(stretches)
     shear = J ** (-2 / 3) * np.sum(np.square(stretches)) - 3
     pull = max(J ** (-2 / 3) * stretches[2] ** 2 - 1, 0.0)
@@ -40,7 +40,7 @@ def density(stretches, mu, kappa, eta, fung):
     "constants", [(0.01, 0.5, 0.0, 0.0), (0.004, 0.2, 0.08, 0.0), (0.004, 0.2, 0.02, 6.0)]
 )
 def test_uniform_block_matches_the_exact_solution(constants):
-    # Free sides and no friction: stretches are uniform and make the sides stress-free.
+    # With free sides and no friction, the stretches are uniform and the sides stress-free.
     mu, kappa, eta, fung = constants
     mesh = block((3, 2, 2), SIDES)
     system = pressed(mesh, materials(mesh, mu, kappa, eta, fung), SIDES[1] / 2)
@@ -57,7 +57,7 @@ def test_uniform_block_matches_the_exact_solution(constants):
         ends = [density([free[0], y + s, free[1]], *constants) for s in (1e-5, -1e-5)]
         return free, (ends[0] - ends[1]) / 2e-5
 
-    # Both plates penetrate by the nominal pressure over the penalty.
+    # The penetration at each plate is the nominal pressure divided by the penalty.
     y = fsolve(lambda s: (load(s[0])[1] + pressure) * 1e3, 0.85)[0]
     free, _ = load(y)
     dug = 2 * pressure / PENALTY_N_PER_MM3
@@ -66,7 +66,7 @@ def test_uniform_block_matches_the_exact_solution(constants):
     spread = np.ptp(state.u, axis=0)
     assert spread[0] == pytest.approx((free[0] - 1) * SIDES[0], abs=2e-4)
     assert spread[2] == pytest.approx((free[1] - 1) * SIDES[2], abs=2e-4)
-    # Straight lines stay straight: mid-edge nodes are at the mean of their ends.
+    # Straight lines stay straight, so mid-edge nodes are at the mean of their ends.
     ends = mesh.ends[mesh.corners :]
     middles = state.u[ends].mean(axis=1)
     assert np.abs(state.u[mesh.corners :] - middles).max() < 1e-4
@@ -87,7 +87,7 @@ def test_sheet_has_its_tensile_stiffness():
     u = mesh.nodes * [strain, -strain / 2, -strain / 2]
     faces = 2 * (SIDES[0] * SIDES[1] + SIDES[0] * SIDES[2]) - SIDES[0] * SIDES[1]
     ends = 2 * SIDES[1] * SIDES[2]
-    # The ends are strained by -e/2 both ways: 2 E t / 3 (a^2 + a b + b^2) with a = b = -e/2.
+    # The ends are strained by -e/2 along both axes: 2 E t / 3 (a^2 + a b + b^2) with a = b = -e/2.
     wanted = 0.5 * 3.0 * strain**2 * (faces + ends)
     assert sheet_energy(sheet_of(mesh, 3.0), u) == pytest.approx(wanted, rel=1e-3)
 
@@ -102,7 +102,7 @@ def test_gradients_integrate_to_the_deformed_volume():
 
 
 def layered(mesh):
-    """Return materials that are stiffer above z = 8, where elements end."""
+    """Return materials that are stiffer above z = 8, an element boundary."""
     of = materials(mesh, 0.004, 0.2)
     high = mesh.nodes[mesh.cells[:, :4], 2].mean(axis=1) > 8
     of.mu[high] *= 4
@@ -111,7 +111,7 @@ def layered(mesh):
 
 
 def felupe_force(closed, counts):
-    """Return the force of the layered block with approaching y faces, by quadratic hexahedra."""
+    """Return the force on the layered block when its y faces approach, from quadratic hexahedra."""
     mesh = (
         felupe.Cube(a=(-12, -10, 0), b=(12, 10, 16), n=tuple(c + 1 for c in counts))
         .add_midpoints_edges()
@@ -142,21 +142,21 @@ def felupe_force(closed, counts):
     return -force[high, 1].sum(), mesh.points, field[0].values
 
 
-def test_layered_block_agrees_with_hexahedra_of_felupe():
+def test_layered_block_agrees_with_felupe_hexahedra():
     mesh = block((6, 5, 6), SIDES)
     system = pressed(mesh, layered(mesh), SIDES[1] / 2)
     state = at_rest(system, 2.0, 1e-6)
     dug = 2 * 2.0 / (SIDES[0] * SIDES[2]) / PENALTY_N_PER_MM3
     force, points, moved = felupe_force(state.travel - dug, (4, 4, 4))
     assert force == pytest.approx(2.0, rel=0.01)
-    # The free end at the top bulges by the same amount.
+    # The free upper end bulges by the same amount.
     ours = state.u[np.abs(mesh.nodes - [0, 0, 16]).sum(axis=1).argmin(), 2]
     theirs = moved[np.abs(points - [0, 0, 16]).sum(axis=1).argmin(), 2]
     assert ours == pytest.approx(theirs, abs=0.02 * abs(theirs))
 
 
-def test_friction_is_limited_by_coefficient_times_force():
-    # Two plates carry 2 mu F of the weight at most; springs on the wall carry the rest.
+def test_friction_is_at_most_the_coefficient_times_the_force():
+    # Two plates carry at most 2 mu F of the weight; springs on the wall carry the rest.
     mesh = block((3, 2, 2), SIDES)
     force, friction, spring = 1.0, 0.25, 0.002
     weight = 3 * 2 * friction * force

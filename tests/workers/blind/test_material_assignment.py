@@ -1,4 +1,4 @@
-"""The constants of each integration point come from the quarter of the element around it."""
+"""Constants of an integration point, averaged over the quarter of the element around it."""
 
 from dataclasses import replace
 
@@ -16,8 +16,8 @@ from tests.workers.blind.pressed_blocks import block
 
 SIDES = np.array([30.0, 20.0, 16.0])
 SLOPE = 1e-3  # of the stiffness per mm: exp is linear to 0.02 %
-# In a corner's quarter, the points nearest to it, the corner's barycentric coordinate is the
-# largest of four, (1 + 1/2 + 1/3 + 1/4) / 4 in the mean, and the others are alike.
+# A corner's quarter is the set of points nearest to it. There its barycentric coordinate is the
+# largest of four, with mean (1 + 1/2 + 1/3 + 1/4) / 4; the others have equal means.
 OWN = 25 / 48
 
 
@@ -32,13 +32,13 @@ def test_stiffness_gradient_gives_the_mean_of_each_quarter(axis):
     quarter = OWN * corners + (1 - OWN) / 3 * (corners.sum(axis=1, keepdims=True) - corners)
     mu = 0.010 / (2 * (1 + NU))
     places = (materials.mu / mu - 1) / SLOPE
-    # 64 samples in an element miss the middle of a quarter by a tenth of its edges at most.
+    # 64 samples in an element miss the middle of a quarter by at most a tenth of its edges.
     np.testing.assert_allclose(places, quarter, atol=0.1 * np.ptp(corners, axis=1).max())
     np.testing.assert_allclose(materials.eta / 0.080, materials.mu / mu, rtol=1e-12)
 
 
-def test_glandular_tissue_beyond_a_plane_stiffens_its_points():
-    """Corners at x = -15 and 15 of elements that the tissue's boundary cuts at x = 0."""
+def test_glandular_tissue_stiffens_the_points_on_its_side():
+    """Elements have corners at x = -15 and 15, and the tissue's boundary cuts them at x = 0."""
     mesh = block((1, 1, 1), SIDES)
     values = np.full((16, 20, 30), Tissue.FAT, np.uint8)
     values[:, :, 15:] = Tissue.GLANDULAR
@@ -50,8 +50,8 @@ def test_glandular_tissue_beyond_a_plane_stiffens_its_points():
     assert materials.kappa == pytest.approx(materials.mu * 2 * (1 + NU) / (3 * (1 - 2 * NU)))
 
 
-def test_fibres_of_the_gland_have_their_own_stiffness():
-    """Six times the stiffness in fat beyond a plane, equal elsewhere."""
+def test_glandular_fibres_have_their_own_stiffness():
+    """Fibres are six times stiffer than in fat beyond a plane, and equally stiff elsewhere."""
     mesh = block((1, 1, 1), SIDES)
     values = np.full((16, 20, 30), Tissue.FAT, np.uint8)
     values[:, :, 15:] = Tissue.GLANDULAR
@@ -65,8 +65,8 @@ def test_fibres_of_the_gland_have_their_own_stiffness():
     assert np.array_equal(found.mu, plain.mu)
 
 
-def test_deviations_reach_materials_springs_and_fibres():
-    """With nu 0.48 instead of 0.49 tissue is half as stiff against volume changes."""
+def test_deviations_apply_to_materials_springs_and_fibres():
+    """With nu = 0.48 instead of 0.49, tissue is half as stiff against volume changes."""
     mesh = block((1, 1, 1), SIDES)
     labels = Volume(np.full((16, 20, 30), Tissue.FAT, np.uint8), (1.0,) * 3, (-14.5, -9.5, 0.5))
     plain = Scene(draw(1).anatomy, Constants(10.0, 40.0, 80.0))

@@ -1,4 +1,4 @@
-"""The code's part of a digest: the modules that an evaluation imports, and nothing else."""
+"""The code's share of a digest: the modules that an evaluation imports, and nothing else."""
 
 import ast
 import shutil
@@ -41,7 +41,7 @@ def copied(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def versions_in(root: Path, files: list[Path]) -> list[str]:
-    """Return the current version, then the version with each of the files changed alone."""
+    """Return the current version, then the version after changing each file alone."""
     script = f"""
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -97,7 +97,7 @@ def test_formerly_omitted_modules_count(module: str) -> None:
 
 
 def test_every_module_loaded_by_python_is_reached() -> None:
-    """Import statements are read from the code; running them must load nothing else."""
+    """Running the code must load no module beyond those found in its import statements."""
     script = (
         f"import sys, {', '.join(EVALUATION)}\n"
         "print(*(n for n in sys.modules if n.startswith(('palpate.workers', 'palpate.storage'))))"
@@ -128,7 +128,7 @@ def test_missing_module_is_named() -> None:
         code_version("palpate.workers.nowhere")
 
 
-def test_version_is_the_same_in_several_threads() -> None:
+def test_version_is_the_same_from_concurrent_threads() -> None:
     """Python 3.11 cannot parse in several threads at once, so `code_version` must not parse."""
     ended = threading.Event()
 

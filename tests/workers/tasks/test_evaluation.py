@@ -1,4 +1,4 @@
-"""The tasks as run by a worker, on a small breast and a real store."""
+"""The tasks as a worker runs them, on a small breast and a real store."""
 
 import json
 import math
@@ -55,7 +55,7 @@ def evaluated(study):
     return tasks.evaluate(study.request())
 
 
-def test_facts_describe_body_and_mesh(study):
+def test_prepared_facts_describe_body_and_mesh(study):
     facts = study.prepared["facts"]
     assert facts["nodes"] == pytest.approx(1200, rel=0.1)
     assert facts["levels"][-1] == facts["nodes"]
@@ -116,7 +116,7 @@ def test_stored_evaluation_is_not_computed_again(study, evaluated, monkeypatch):
     assert again == evaluated | {"reused": True}
 
 
-def test_volume_kept_later_is_the_scored_one(study, evaluated):
+def test_volume_kept_later_is_the_scored_volume(study, evaluated):
     name = tasks.keep_volume(study.request())
     assert name == evaluated["digest"]
     one = tasks.score_bodies(CASE, study.store, study.target, name)
@@ -155,7 +155,7 @@ def test_constants_count_in_case_and_request(study):
     assert by_case == tasks.evaluate(study.request())["digest"]
 
 
-def test_worker_of_another_version_refuses(study):
+def test_worker_of_another_version_refuses_the_task(study):
     with pytest.raises(StoreError, match="different versions"):
         tasks.evaluate(study.request(digest="0" * 16))
 
@@ -223,7 +223,7 @@ def block(tmp_path):
     }
 
 
-def test_image_is_read_once_and_named_by_its_content(tmp_path, monkeypatch):
+def test_image_is_read_once_and_named_after_its_content(tmp_path, monkeypatch):
     store = str(tmp_path / "store")
     case = {"reference": block(tmp_path), "mesh": {"nodes": 1200}}
     first = tasks.prepare_case(case, store)
@@ -260,7 +260,7 @@ def test_refuses_skin_that_the_mesh_cannot_resolve(study):
 
 
 def test_plates_of_an_imaged_target_are_placed_at_the_target(study):
-    """Also if the target is shifted."""
+    """This also holds if the target is shifted."""
     case = CASE | {"load": {"plate_distance_mm": {"final": 44}}}
     made = tasks.make_target(case, {"constants": HIDDEN}, study.store)
     body = load_volume(study.house, made["target"])

@@ -1,4 +1,4 @@
-"""Phantom > mesh > solve > deform > score, without stand-ins, on a small breast."""
+"""Phantom > mesh > solve > deform > score, without mocks, on a small breast."""
 
 import math
 
@@ -83,7 +83,7 @@ def test_skin_membrane_stiffens_the_body(breast):
     assert bare.plate_displacement_mm > soft.plate_displacement_mm > stiff.plate_displacement_mm
 
 
-def test_skin_that_is_not_modelled_is_fat(breast):
+def test_unmodelled_skin_behaves_as_fat(breast):
     """Thesis X1: renaming the skin's voxels to fat changes nothing."""
     renamed = breast.labels.values.copy()
     assert (renamed == Tissue.SKIN).any()
@@ -109,7 +109,7 @@ def test_body_is_compressed_at_the_position_of_the_target(breast):
     assert upper == pytest.approx(41.0, abs=2.0)
 
 
-def test_candidate_has_the_voxels_of_the_target(breast):
+def test_candidate_is_sampled_on_the_voxels_of_the_target(breast):
     fine = Volume(np.zeros((1, 1, 1), np.uint8), (1.5, 1.5, 1.5), (0.3, 0.4, 0.5))
     solution = breast.press(case())
     mesh = breast.hierarchy
@@ -124,7 +124,7 @@ def test_volume_on_its_own_lattice_is_unchanged(breast):
     assert on_lattice(breast.labels, breast.labels) is breast.labels
 
 
-def test_volume_on_another_lattice_keeps_every_corner():
+def test_volume_on_another_lattice_covers_every_corner():
     block = Volume(np.full((4, 4, 4), 2, np.uint8), (2.0, 2.0, 2.0))
     lattice = Volume(np.zeros((1, 1, 1), np.uint8), (1.0, 1.0, 1.0), (0.5, 0.5, 0.5))
     moved = on_lattice(block, lattice)

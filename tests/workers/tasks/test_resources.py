@@ -79,7 +79,7 @@ def test_concurrent_threads_share_one_value():
     assert len(made) == 20
 
 
-def test_cleared_cache_is_empty():
+def test_clear_empties_the_cache():
     cache = Cache()
     cache.get("a", kilobyte)
     cache.clear()

@@ -1,4 +1,4 @@
-"""Sources in a store: by content, once, and rebuilt without access to their files."""
+"""Sources in a store: stored once by content, and rebuilt without access to their files."""
 
 import shutil
 from pathlib import Path
@@ -80,7 +80,7 @@ def test_source_is_rebuilt_without_its_files(kind: str, tmp_path: Path) -> None:
     same(before, again.inverse_problem(NODES, SPACING_MM))
 
 
-def test_source_is_stored_once_for_any_folder_name(tmp_path: Path) -> None:
+def test_copied_folder_is_the_same_stored_source(tmp_path: Path) -> None:
     store = TaskStore(tmp_path / "store")
     first = case(tmp_path)
     name = add_source(open_source(first), store)
@@ -93,7 +93,7 @@ def test_source_is_stored_once_for_any_folder_name(tmp_path: Path) -> None:
     assert add_source(open_source(copy), store) != name
 
 
-def test_plan_needs_only_the_scan_at_rest(tmp_path: Path) -> None:
+def test_plan_needs_only_the_unloaded_scan(tmp_path: Path) -> None:
     folder = case(tmp_path)
     for file in folder.glob("pressed*"):
         file.unlink()
@@ -106,7 +106,7 @@ def test_plan_needs_only_the_scan_at_rest(tmp_path: Path) -> None:
     assert acquisition.reference.values.any()
 
 
-def test_unknown_kind_is_named(tmp_path: Path) -> None:
+def test_error_names_the_unknown_kind(tmp_path: Path) -> None:
     with pytest.raises(
         StoreError, match=r"the kind 'ultrasound', this version knows .*scanned case"
     ):
@@ -114,7 +114,7 @@ def test_unknown_kind_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", source_kinds())
-def test_code_of_a_diagnosis_includes_all_its_imports(kind: str) -> None:
+def test_code_digest_of_a_diagnosis_includes_all_imports(kind: str) -> None:
     modules = reached(["palpate.workers.tasks.diagnosis", source_module(kind)])
     organ = source_module(kind).split(".")[3]
     wanted = {

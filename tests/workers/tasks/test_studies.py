@@ -91,7 +91,7 @@ def test_study_opens_with_its_volumes_and_best_candidate(study: Path) -> None:
     assert np.ptp(np.nonzero(pressed)[1]) < np.ptp(np.nonzero(body)[1])
 
 
-def test_study_that_has_not_run_names_the_command(tmp_path: Path) -> None:
+def test_error_for_a_study_that_has_not_run_names_the_command(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has not run.*palpate run"):
         open_study(begun(tmp_path / "runs" / "small", ran=False))
 
@@ -102,7 +102,7 @@ def test_refuses_folder_that_is_not_a_study(tmp_path: Path) -> None:
         open_study(tmp_path)
 
 
-def test_missing_volume_is_named(tmp_path: Path) -> None:
+def test_error_names_the_missing_volume(tmp_path: Path) -> None:
     folder = begun(tmp_path / "runs" / "small")
     (session,) = [s for s in Journal.read(StudyLayout(folder).journal) if s["kind"] == "session"]
     target = open_store(session["store"]).layout.volume(session["target"]["target"])

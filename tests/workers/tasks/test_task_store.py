@@ -1,4 +1,4 @@
-"""Parts of tasks are identical in a folder and in a bucket: whole, typed, written once."""
+"""Task results in a folder or a bucket: written whole, typed, and only once."""
 
 from dataclasses import dataclass
 
@@ -31,7 +31,7 @@ def test_part_is_written_once_and_typed(tasks):
     part, arrays = Part(tasks, "p1"), {"z": np.arange(6.0), "kept": np.array([True, False])}
     assert not part.is_finished
     part.save(Fit(float("-inf"), True), arrays)
-    part.save(Fit(1.0, False), {})  # the first one stays
+    part.save(Fit(1.0, False), {})  # the first part is kept
     assert part.is_finished
     assert str(part.path).endswith("/fields/p1.zarr")
     record, read = part.load(Fit)
@@ -41,7 +41,7 @@ def test_part_is_written_once_and_typed(tasks):
         part.record(Other)
 
 
-def test_volume_is_named_by_its_content_and_read_once(tasks):
+def test_volume_is_named_after_its_content_and_read_once(tasks):
     volume = Volume(np.ones((3, 4, 5), np.uint8), (1.0, 1.0, 2.0))
     name = tasks.add_volume(volume)
     assert tasks.add_volume(volume) == name

@@ -1,1 +1,1 @@
-"""Deviations from the nominal physics, each in a form of its own."""
+"""Deviations from the nominal physics, each in its own mathematical form."""

@@ -1,7 +1,7 @@
 """The interface of causes, and random draws of their magnitudes.
 
-A cause is drawn for an anatomy and applied to a scene. Magnitudes are log-uniform over a
-plausible range, so that some of them are below the noise of a segmentation.
+A cause is drawn for an anatomy and applied to a scene. Magnitudes are log-uniform over a plausible
+range, so that the effects of some are below the noise of a segmentation.
 """
 
 import math
@@ -19,7 +19,7 @@ class Cause(Protocol):
     """A single deviation from the nominal physics.
 
     ``kind`` is its name here; ``effect`` and ``family`` are the correct answers of a diagnosis,
-    None if there is none. Parameters are its fields, with units in their names.
+    None if there is none. Its fields are the parameters, with units in their names.
     """
 
     kind: ClassVar[str]

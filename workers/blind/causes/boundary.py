@@ -23,11 +23,11 @@ class Friction:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         return cls(log_uniform(rng, 0.04, 0.6), rng.uniform(-0.25, 0.25))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
 
         def at(points: FloatArray) -> FloatArray:
             s = scene.anatomy.normalised(points)[:, 0]
@@ -49,11 +49,11 @@ class WallCompliance:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         return cls(log_uniform(rng, 0.01, 0.5), rng.uniform(0.0, 0.6), rng.uniform(0, 360))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
 
         def at(points: FloatArray) -> FloatArray:
             s = scene.anatomy.normalised(points)[:, 0]
@@ -65,7 +65,7 @@ class WallCompliance:
 
 @dataclass(frozen=True, slots=True)
 class WallRise:
-    """A part of the chest wall further forward, or back, in the loaded scans: breathing."""
+    """A part of the chest wall that breathing moves forward or back in the loaded scans."""
 
     kind: ClassVar[str] = "wall_rise"
     effect: ClassVar[str | None] = None
@@ -77,14 +77,14 @@ class WallRise:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         x, y = rng.uniform(-0.5, 0.5, 2) * (anatomy.half_mm[0], anatomy.half_mm[1])
         x += anatomy.centre_mm[0]
         size = sign(rng) * log_uniform(rng, 0.8, 6.0)
         return cls(float(x), float(y), rng.uniform(15.0, 35.0), size)
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
 
         def at(points: FloatArray) -> FloatArray:
             far = np.hypot(points[:, 0] - self.x_mm, points[:, 1] - self.y_mm) / self.radius_mm
@@ -95,7 +95,7 @@ class WallRise:
 
 @dataclass(frozen=True, slots=True)
 class Adhesion:
-    """A scar that keeps a patch of the chest wall from sliding."""
+    """A scar that keeps tissue from sliding on a patch of the chest wall."""
 
     kind: ClassVar[str] = "adhesion"
     effect: ClassVar[str | None] = "local_attachment"
@@ -107,7 +107,7 @@ class Adhesion:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         radius = rng.uniform(10.0, 25.0)
         r, angle = 0.6 * math.sqrt(rng.random()), rng.uniform(0, 2 * math.pi)
         across, along = r * math.cos(angle), r * math.sin(angle)
@@ -116,7 +116,7 @@ class Adhesion:
         return cls(along, across * anatomy.half_width_mm, radius, grip)
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
 
         def at(points: FloatArray) -> FloatArray:
             far = np.hypot(points[:, 0] - self.x_mm, points[:, 1] - self.y_mm)
@@ -127,7 +127,7 @@ class Adhesion:
 
 @dataclass(frozen=True, slots=True)
 class Tether:
-    """Springs along all axes on the skin towards the armpit, up to a sharp straight edge."""
+    """Springs along all axes on the skin near the armpit, bounded by a sharp straight edge."""
 
     kind: ClassVar[str] = "tether"
     effect: ClassVar[str | None] = "local_attachment"
@@ -138,7 +138,7 @@ class Tether:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw 0.05 to 1 N/mm on a part of the skin, around the upper end of the body."""
+        """Draw a stiffness of 0.05 to 1 N/mm on part of the skin near the upper end."""
         azimuth = rng.uniform(-50.0, 50.0)
         share, n_per_mm = rng.uniform(0.06, 0.2), log_uniform(rng, 0.05, 1.0)
         points, areas = anatomy.skin()
@@ -148,7 +148,7 @@ class Tether:
         return cls(azimuth, beyond, 1e3 * n_per_mm / area)
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
 
         def at(points: FloatArray) -> FloatArray:
             beyond = points @ _towards(self.azimuth_deg) > self.beyond_mm

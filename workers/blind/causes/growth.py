@@ -1,4 +1,4 @@
-"""Causes by which tissue takes up water between the scans."""
+"""Causes that make tissue take up water between the scans."""
 
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
@@ -22,11 +22,11 @@ class Swelling:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         return cls(log_uniform(rng, 0.01, 0.12), rng.uniform(-0.25, 0.25))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
         stretch = (1 + self.volume_fraction) ** (1 / 3) - 1
 
         def at(points: FloatArray, gland: FloatArray) -> FloatArray:
@@ -38,7 +38,7 @@ class Swelling:
 
 @dataclass(frozen=True, slots=True)
 class Oedema:
-    """Water uptake of all tissue in a ball, fat included."""
+    """Water uptake of all tissue in a ball, including fat."""
 
     kind: ClassVar[str] = "oedema"
     effect: ClassVar[str | None] = None
@@ -49,12 +49,12 @@ class Oedema:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         place = triple(rng.uniform(-0.4, 0.4, 3) * anatomy.half_mm + anatomy.centre_mm)
         return cls(log_uniform(rng, 0.05, 0.5), place, rng.uniform(10.0, 20.0))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
         centre = np.array(self.centre_mm)
         stretch = (1 + self.volume_fraction) ** (1 / 3) - 1
 

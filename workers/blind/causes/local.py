@@ -1,4 +1,4 @@
-"""Causes by which tissue differs in one place."""
+"""Causes that change tissue in one place."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from palpate.workers.blind.scene import Anatomy, Scene
 
 @dataclass(frozen=True, slots=True)
 class Inclusion:
-    """An ellipsoidal lump, sharp or fading, that is not labelled."""
+    """An unlabelled ellipsoidal lump with a sharp or gradual boundary."""
 
     kind: ClassVar[str] = "inclusion"
     effect: ClassVar[str | None] = "inclusion"
@@ -27,7 +27,7 @@ class Inclusion:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         radius = rng.uniform(5.0, 12.0)
         low = (-anatomy.lower_mm, -anatomy.half_width_mm, radius)
         high = (anatomy.upper_mm, anatomy.half_width_mm, anatomy.depth_mm)
@@ -40,7 +40,7 @@ class Inclusion:
         return cls(triple(centre), radius, y, z, fade, log_uniform(rng, 2.0, 10.0))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
         centre = np.array(self.centre_mm)
         axes = np.array([1.0, self.stretch_y, self.stretch_z])
         axes *= self.radius_mm / np.cbrt(axes.prod())
@@ -49,7 +49,7 @@ class Inclusion:
             far = np.linalg.norm((points - centre) / axes, axis=1)
             if not self.fade:
                 return math.log(self.ratio) * (far < 1)
-            # From full to none over the band 1 - fade to 1 + fade, as half a cosine.
+            # Falls from full to none over the band 1 - fade to 1 + fade, as half a cosine.
             part = np.clip((far - 1) / (2 * self.fade) + 0.5, 0, 1)
             return np.asarray(math.log(self.ratio) * 0.5 * (1 + np.cos(np.pi * part)))
 
@@ -71,7 +71,7 @@ class Ligament:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         place = triple(rng.uniform(-0.35, 0.35, 3) * anatomy.half_mm + anatomy.centre_mm)
         return cls(
             place,
@@ -82,7 +82,7 @@ class Ligament:
         )
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
         centre = np.array(self.centre_mm)
         normal = np.array(self.normal)
 

@@ -1,4 +1,4 @@
-"""Causes by which tissue differs everywhere."""
+"""Causes that change tissue everywhere."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from palpate.workers.blind.scene import Anatomy, Scene
 
 @dataclass(frozen=True, slots=True)
 class Gradient:
-    """Tissue stiffer towards one side: ln of the stiffness is a tanh along a direction."""
+    """Tissue that is stiffer towards one side: ln of the stiffness is a tanh along a direction."""
 
     kind: ClassVar[str] = "gradient"
     effect: ClassVar[str | None] = "stiffness_gradient"
@@ -25,15 +25,15 @@ class Gradient:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
-        # Deep or cranio-caudal, with small components along the other axes.
+        """Draw a random instance; see `Cause.draw`."""
+        # Along the depth or cranio-caudal axis, with small components along the other axes.
         main = np.eye(3)[2 if rng.random() < 0.5 else 0] * sign(rng)
         mixed = main + 0.2 * rng.standard_normal(3)
         x, y, z = log_uniform(rng, 0.08, 1.0) * mixed / np.linalg.norm(mixed)
         return cls(float(x), float(y), float(z), rng.uniform(0.8, 2.0))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
         size = np.array([self.ln_x, self.ln_y, self.ln_z])
         length = float(np.linalg.norm(size))
 
@@ -46,7 +46,7 @@ class Gradient:
 
 @dataclass(frozen=True, slots=True)
 class Fibres:
-    """Fibres rotated by an angle that grows from the wall and fans out across."""
+    """Fibres rotated by an angle that grows away from the wall and fans out across the body."""
 
     kind: ClassVar[str] = "fibres"
     effect: ClassVar[str | None] = "fibre_rotation"
@@ -57,12 +57,12 @@ class Fibres:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         turn = log_uniform(rng, 2.0, 25.0)
         return cls(turn, rng.uniform(0, 360), turn * rng.uniform(-0.3, 0.3))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
         azimuth = math.radians(self.azimuth_deg)
         towards = np.array([math.cos(azimuth), math.sin(azimuth)])
 
@@ -86,11 +86,11 @@ class Stiffening:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         return cls(log_uniform(rng, 0.3, 8.0))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
         return replace(scene, fung=self.exponent)
 
 
@@ -105,17 +105,17 @@ class SkinSheet:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a random instance, see `Cause.draw`."""
+        """Draw a random instance; see `Cause.draw`."""
         return cls(log_uniform(rng, 20.0, 1500.0))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
         return replace(scene, skin_n_per_m=self.stiffness_n_per_m)
 
 
 @dataclass(frozen=True, slots=True)
 class FibreContrast:
-    """Fibres in glandular tissue stiffer or softer than in fat, unevenly along z."""
+    """Fibres that are stiffer or softer in glandular tissue than in fat, unevenly along z."""
 
     kind: ClassVar[str] = "fibre_contrast"
     effect: ClassVar[str | None] = "fibre_contrast"
@@ -125,11 +125,11 @@ class FibreContrast:
 
     @classmethod
     def draw(cls, rng: Rng, anatomy: Anatomy) -> Self:
-        """Draw a ratio of 1.5 to 6, or one over it."""
+        """Draw a ratio of 1.5 to 6, or its reciprocal."""
         return cls(log_uniform(rng, 1.5, 15.0) ** sign(rng), rng.uniform(-0.25, 0.25))
 
     def apply_to(self, scene: Scene) -> Scene:
-        """Return the changed scene, see `Cause.apply_to`."""
+        """Return the changed scene; see `Cause.apply_to`."""
 
         def at(points: FloatArray) -> FloatArray:
             s = scene.anatomy.normalised(points)[:, 2]

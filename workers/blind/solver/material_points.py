@@ -32,7 +32,7 @@ class MaterialPoints:
         `OUTLINE` or `GLANDULAR`.
     nodes : ndarray of int32, shape (k, 10)
     weights : ndarray, shape (k, 10)
-        The displacement at a point is the weighted sum of the displacements of its nodes.
+        Weights of the nodes; a point's displacement is the weighted sum over its nodes.
     """
 
     points: FloatArray
@@ -41,7 +41,7 @@ class MaterialPoints:
     weights: FloatArray
 
     def moved(self, displacement_mm: FloatArray) -> FloatArray:
-        """Return the displacement (k, 3) of the points, from nodal displacements (n, 3)."""
+        """Return the displacements (k, 3) of the points, given nodal displacements (n, 3)."""
         return np.asarray(np.einsum("ka,kai->ki", self.weights, displacement_mm[self.nodes]))
 
 
@@ -54,8 +54,8 @@ def points_on(mesh: QuadraticMesh, labels: Volume, count: int, seed: int) -> Mat
     labels : Volume
         `Tissue` labels of the undeformed body.
     count : int
-        Number on each of the two; points outside all elements, or within 4 mm of the chest wall,
-        are left out.
+        Number of points on each of the two; points outside all elements, or within 4 mm of the
+        chest wall, are then dropped.
     seed : int
     """
     rng = np.random.default_rng(seed)

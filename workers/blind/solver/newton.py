@@ -15,10 +15,10 @@ from palpate.workers.blind.solver.two_level_solver import (
     factorised_coarse_tangent,
 )
 
-FORCE_TOLERANCE = 2e-5  # share of the plate's force that may be out of balance
-EXACT_FRICTION_BELOW = 0.02  # share of the force below which friction has its exact tangent
+FORCE_TOLERANCE = 2e-5  # fraction of the plate's force that may be out of balance
+EXACT_FRICTION_BELOW = 0.02  # fraction of the force below which friction has its exact tangent
 MAX_STEPS = 120
-ENERGY_SLACK = 1e-9  # share of the energy that rounding may add
+ENERGY_SLACK = 1e-9  # fraction of the energy that rounding may add
 
 
 class NoEquilibriumError(PalpateError):
@@ -27,7 +27,7 @@ class NoEquilibriumError(PalpateError):
 
 @dataclass(frozen=True, slots=True)
 class SolverEffort:
-    """Number of Newton steps and of conjugate gradient iterations."""
+    """Numbers of Newton steps and of conjugate gradient iterations."""
 
     steps: int
     iterations: int
@@ -69,7 +69,7 @@ class Newton:
         force_n : float
             Force that closes the plates.
         tolerance : float
-            Share of that force that may be out of balance.
+            Fraction of that force that may be out of balance.
 
         Returns
         -------
@@ -78,7 +78,7 @@ class Newton:
         Raises
         ------
         NoEquilibriumError
-            If there is no convergence.
+            If the iteration does not converge.
         """
         system = self.system
         total = 0
@@ -96,13 +96,13 @@ class Newton:
             total += solved.iterations
             moved = self._searched(state, State(solved.u, solved.travel), force, force_n)
             if moved is None:
-                # A factor of an unstable state may point uphill; nodal scaling does not.
+                # A factorisation from an unstable state may point uphill; nodal scaling does not.
                 self._factor = None
                 moved = self._searched(state, self._downhill(force, tangent), force, force_n)
             if moved is None:
                 break
             state = moved
-        # A factor from this state would mislead another attempt.
+        # A factorisation from this state would mislead another attempt.
         self._factor = None
         raise NoEquilibriumError(
             f"No equilibrium under {force_n:g} N: {size:.1e} of the force is out of balance "

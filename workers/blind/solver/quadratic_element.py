@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from palpate.storage.values import FloatArray, IntArray
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
-"""Corners of the edges with the nodes 4 to 9 of a tetrahedron."""
+"""Corners of the edges whose midpoints are the nodes 4 to 9 of a tetrahedron."""
 
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 """Corners of the faces, counter-clockwise seen from outside."""
@@ -48,7 +48,7 @@ class QuadraticMesh:
     cells : ndarray of int32, shape (m, 10)
         Four corners, then the mid-edge nodes in the order of `EDGES`.
     ends : ndarray of int32, shape (n, 2)
-        The two corners next to each node; for a corner, itself twice.
+        The two corners next to each node; for a corner, the corner itself twice.
     skin, wall : ndarray of int32, shape (k, 6)
         Faces of the free surface and of the chest wall: three corners, counter-clockwise
         seen from outside, then the mid-edge nodes in the order of `FACE_EDGES`.
@@ -73,7 +73,7 @@ def quadratic(nodes: FloatArray, tets: IntArray, wall_z_mm: float) -> QuadraticM
     ----------
     nodes : ndarray, shape (c, 3)
     tets : ndarray of int, shape (m, 4)
-        Positively oriented.
+        Positively oriented tetrahedra.
     wall_z_mm : float
         Faces in this plane form the wall; all others are free.
     """
@@ -109,7 +109,7 @@ def _boundary(tets: IntArray) -> NDArray[np.int64]:
 
 
 def gradients(mesh: QuadraticMesh) -> tuple[FloatArray, FloatArray]:
-    """Return gradients of barycentric coordinates, (m, 4, 3) in 1/mm, and volumes, (m,) in mm^3."""
+    """Return gradients of barycentric coordinates, (m, 4, 3) in 1/mm, and volumes (m,) in mm^3."""
     x = mesh.nodes[mesh.cells[:, :4]]
     edges = x[:, 1:] - x[:, :1]
     inverse = np.linalg.inv(edges)

@@ -1,4 +1,4 @@
-"""Sum of all contributions to a body between plates: energy, out-of-balance force, tangent."""
+"""Energy, out-of-balance force and tangent of a body between plates, summed over all parts."""
 
 from dataclasses import dataclass
 
@@ -38,7 +38,7 @@ GRAVITY_MM_PER_S2 = 9810.0
 
 @dataclass(frozen=True, eq=False)
 class Topology:
-    """Data that depend on the mesh alone."""
+    """Data that depend only on the mesh."""
 
     mesh: QuadraticMesh
     cells: Cells
@@ -72,9 +72,10 @@ class Wall:
     spring : ndarray, shape (k, 6, 3)
         Stiffness in MPa/mm along x, y and z at the six points of every face of the wall.
     held : bool
-        True if the wall does not move along z, except by its rise.
+        Whether the wall is fixed along z, apart from its rise.
     rise_mm : ndarray, shape (n,), optional
-        Forward motion of the wall, and at other nodes an initial guess of the motion it causes.
+        Forward motion of the wall and, at other nodes, an initial guess of the motion that it
+        causes.
     """
 
     spring: FloatArray
@@ -90,13 +91,13 @@ class State:
     travel: float
 
     def plus(self, step: "State", fraction: float = 1.0) -> "State":
-        """Return the state advanced by a fraction of a step."""
+        """Return the state after a fraction of a step."""
         return State(self.u + fraction * step.u, self.travel + fraction * step.travel)
 
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """Blocks (b, 3, 3), and the mixed (n, 3) and second derivatives in the travel."""
+    """Blocks (b, 3, 3), and the mixed (n, 3) and second derivatives with respect to the travel."""
 
     blocks: FloatArray
     border: FloatArray
@@ -112,7 +113,7 @@ class System:
     materials : Matter
     wall : Wall
     plates : tuple of Plate
-        Lower and upper.
+        Lower and upper plate.
     friction : ndarray, shape (k, 6)
         Coulomb coefficient at the points of the skin.
     gravity_g : ndarray, shape (3,)
@@ -120,7 +121,7 @@ class System:
     sheet : Sheet, optional
         A skin.
     tether : ndarray, shape (k, 6), optional
-        Springs on the points of the skin along all axes, in MPa/mm.
+        Springs at the points of the skin along all axes, in MPa/mm.
     """
 
     def __init__(
@@ -166,7 +167,8 @@ class System:
     def raised(self, state: State, part: float) -> State:
         """Return the state after a further fraction of the chest wall's rise.
 
-        As an initial guess, material in front of the wall moves along, less the further away it is.
+        As an initial guess, material in front of the wall moves along, but less the further away it
+        is.
         """
         if self._rise_mm is None:
             return state
@@ -212,17 +214,17 @@ class System:
         return State(force, closing), Tangent(blocks, border, corner)
 
     def renew_friction(self, state: State) -> None:
-        """Limit friction by the pressure of this state."""
+        """Limit friction by the contact pressure of this state."""
         for plate, friction_state in zip(self.plates, self.friction_states, strict=True):
             contact.renew_pressure(self.skin, plate, friction_state, state.u, state.travel)
 
     def end_step(self, state: State) -> None:
-        """Store this state as the new origin of friction."""
+        """Store this state as the new reference for friction."""
         for plate, friction_state in zip(self.plates, self.friction_states, strict=True):
             contact.update_friction_origin(self.skin, plate, friction_state, state.u)
 
     def spring_forces(self, u: FloatArray) -> FloatArray:
-        """Return the nodal forces on the springs of wall and skin, (n, 3) in N."""
+        """Return the nodal forces on the springs of the wall and the skin, (n, 3) in N."""
         starts, columns = self.topology.pattern
         out = np.empty_like(u)
         block_product(starts, columns, self.springs, u, out)
@@ -237,7 +239,7 @@ class System:
 
 
 def _weight(top: Topology, gravity_g: FloatArray) -> FloatArray:
-    """Return consistent nodal forces of gravity: integrals of N are -V/20 and V/5."""
+    """Return consistent nodal forces of gravity; the integrals of N are -V/20 and V/5."""
     parts = np.repeat([-0.05, 0.2], [4, 6])
     shares = np.bincount(
         top.cells.nodes.ravel(), np.outer(top.cells.volumes, parts).ravel(), len(top.mesh.nodes)

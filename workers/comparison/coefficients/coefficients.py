@@ -1,4 +1,4 @@
-"""All 28 coefficients of one comparison, and the geometric similarity function."""
+"""The 28 coefficients of one comparison, and the geometric similarity function."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class Coefficients:
     Parameters
     ----------
     jc, dc : float
-        Jaccard and Dice coefficient (Eqs. 3.17, 3.18).
+        Jaccard and Dice coefficients (Eqs. 3.17, 3.18).
     volume_difference_mm3 : float
         Volume of X minus volume of Y.
     hausdorff_mm : tuple of float
@@ -38,11 +38,11 @@ class Coefficients:
     signed_mean_mm : float
         d6(X, Y) - d6(Y, X) (Eq. 3.30).
     mean_to_y_mm, mean_to_x_mm : float
-        Mean distance of the surface voxels of X to Y, and of Y to X.
+        Mean distances from the surface voxels of X to Y, and from those of Y to X.
     sd_to_y_mm, sd_to_x_mm : float
         Standard deviations of these distances.
     gsf : float
-        Geometric similarity function of JC and of D22 in voxels (Eq. 3.31).
+        Geometric similarity function of JC and D22, the latter in voxels (Eq. 3.31).
     """
 
     jc: float
@@ -58,7 +58,7 @@ class Coefficients:
 
     @property
     def by_name(self) -> dict[str, float]:
-        """The 28 coefficients by their names in the thesis, see `NAMES`."""
+        """The 28 coefficients by their names in the thesis; see `NAMES`."""
         surface = (self.mean_to_y_mm, self.mean_to_x_mm, self.sd_to_y_mm, self.sd_to_x_mm)
         overlap = (self.jc, self.dc, self.volume_difference_mm3)
         values = (*overlap, *self.hausdorff_mm, self.signed_mean_mm, *surface)
@@ -81,14 +81,14 @@ def coefficients(
     Parameters
     ----------
     simulated, real : Volume
-        X and Y: labels on one lattice; the boxes may differ.
+        X and Y, labels on one lattice; their boxes may differ.
     labels : iterable of Tissue
-        The voxels of all these labels form the compared set.
+        The voxels with any of these labels form the compared set.
     surface : {"boundary", "all"}
-        "boundary": every distance runs from boundary voxels to boundary voxels, as the
-        numbers of the thesis imply. "all": D5 to D24 and the signed mean run over all
-        voxels to the set, following Eqs. 3.20 to 3.25, and means and standard deviations
-        over surface voxels to the set.
+        "boundary": every distance is from boundary voxels to boundary voxels, as the numbers in the
+        thesis imply. "all": D5 to D24 and the signed mean use distances from all voxels to the set,
+        following Eqs. 3.20 to 3.25; means and standard deviations use distances from surface voxels
+        to the set.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def _filled(volume: Volume, labels: tuple[Tissue, ...], lattice: Volume) -> Voxe
     if voxels.count == 0:
         names = ", ".join(label.name.lower() for label in labels)
         raise InputError(
-            f"A volume has no {names} voxel to compare; it has the labels "
+            f"A volume has no {names} voxel to compare; its labels are "
             f"{np.unique(volume.values)[:20].tolist()}. Check the labels of both volumes."
         )
     return voxels

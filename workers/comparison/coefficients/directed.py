@@ -16,12 +16,12 @@ PERCENTILES = (50, 75, 90)
 
 @dataclass(frozen=True, eq=False)
 class DirectedDistances:
-    """Distances of the voxels of one set to the nearest voxel of another.
+    """Distances from the voxels of one set to the nearest voxel of another.
 
     Parameters
     ----------
     squared : ndarray of int64, shape (k,)
-        Nonzero squared distances, ascending, in units of the metric.
+        Nonzero squared distances in ascending order, in units of the metric.
     count : int
         Number of voxels, including those at distance zero; > 0.
     unit_mm : float
@@ -33,7 +33,7 @@ class DirectedDistances:
     unit_mm: float
 
     def percentile_mm(self, percent: int) -> float:
-        """Return the smallest distance that at least `percent` of the voxels do not exceed.
+        """Return the smallest distance not exceeded by at least `percent` of the voxels.
 
         This is the K-th ranked value of Dubuisson and Jain (1994), always one of the distances
         and never interpolated.
@@ -48,13 +48,13 @@ class DirectedDistances:
 
     @property
     def sd_mm(self) -> float:
-        """Standard deviation over all voxels (not n - 1)."""
+        """Standard deviation over all voxels (divided by n, not n - 1)."""
         mean_square = int(self.squared.sum()) / self.count * self.unit_mm**2
         return math.sqrt(max(mean_square - self.mean_mm**2, 0.0))
 
     @property
     def directed_mm(self) -> tuple[float, float, float, float, float, float]:
-        """d1 to d6: minimum, 50th, 75th and 90th percentile, maximum, mean."""
+        """d1 to d6: minimum, 50th, 75th and 90th percentiles, maximum, mean."""
         d2, d3, d4 = (self.percentile_mm(p) for p in PERCENTILES)
         return self.percentile_mm(0), d2, d3, d4, self.percentile_mm(100), self.mean_mm
 
@@ -85,6 +85,6 @@ def directed_distances(
 
 
 def _around(a: VoxelSet, b: VoxelSet) -> tuple[Index, Index]:
-    """Return the half-open box around two sets."""
+    """Return the half-open bounding box of two sets."""
     (z0, y0, x0), (z1, y1, x1) = np.minimum(a.start, b.start), np.maximum(a.stop, b.stop)
     return (int(z0), int(y0), int(x0)), (int(z1), int(y1), int(x1))

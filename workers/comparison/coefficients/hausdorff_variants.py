@@ -9,7 +9,7 @@ HAUSDORFF, MODIFIED_HAUSDORFF = 18, 22
 
 
 def hausdorff_variants_mm(to_y: DirectedDistances, to_x: DirectedDistances) -> dict[int, float]:
-    r"""Combine directed distances of both directions, ``D[4 (i - 1) + j] = f_j(d_i)``.
+    r"""Combine the directed distances in both directions, ``D[4 (i - 1) + j] = f_j(d_i)``.
 
     .. math:: f_1 = \min, \quad f_2 = \max, \quad f_3 = \text{mean}, \quad
               f_4 = \frac{N_X d(X, Y) + N_Y d(Y, X)}{N_X + N_Y}
@@ -17,7 +17,7 @@ def hausdorff_variants_mm(to_y: DirectedDistances, to_x: DirectedDistances) -> d
     Parameters
     ----------
     to_y, to_x : DirectedDistances
-        From X to Y, and from Y to X.
+        Distances from X to Y, and from Y to X.
 
     Returns
     -------

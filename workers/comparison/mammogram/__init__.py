@@ -1,1 +1,1 @@
-"""Mammograms of labelled voxels by a cone beam of x-rays (thesis section 4.4)."""
+"""Cone-beam mammograms of labelled voxels (thesis section 4.4)."""

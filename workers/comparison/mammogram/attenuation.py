@@ -19,14 +19,14 @@ TABLES: Final = {
 
 
 def attenuation_per_mm(tissue: Tissue, energies_kev: FloatArray) -> FloatArray:
-    """Return the linear attenuation coefficient, scatter included, in 1/mm.
+    """Return the linear attenuation coefficient, including scatter, in 1/mm.
 
     Parameters
     ----------
     tissue : Tissue
-        Air has no attenuation.
+        Tissue; air does not attenuate.
     energies_kev : ndarray
-        5 to 40 keV; logarithms are interpolated between the rows of the table.
+        Energies from 5 to 40 keV; logarithms are interpolated between the rows of the table.
 
     Raises
     ------
@@ -52,5 +52,5 @@ def attenuation_per_mm(tissue: Tissue, energies_kev: FloatArray) -> FloatArray:
 
 
 def attenuation_table(energies_kev: FloatArray) -> FloatArray:
-    """Return coefficients of all tissues in the order of `Tissue`, (tissues, energies), 1/mm."""
+    """Return coefficients of all tissues, in the order of `Tissue`, (tissues, energies), 1/mm."""
     return np.stack([attenuation_per_mm(tissue, energies_kev) for tissue in Tissue])

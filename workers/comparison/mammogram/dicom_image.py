@@ -1,8 +1,8 @@
 """Digital Mammography X-Ray Images (DICOM PS3.3, A.27).
 
-Written directly from the tables of the standard. Pixels for processing are linear in the
-energy read by the detector; those for presentation are the logarithm of the
-attenuation, dense tissue bright.
+Written directly from the tables of the standard. Pixels for processing are linear in the energy
+read by the detector; pixels for presentation are the logarithm of the attenuation, with dense
+tissue bright.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ SOP_CLASSES = {
     "presentation": "1.2.840.10008.5.1.4.1.1.1.2",
     "processing": "1.2.840.10008.5.1.4.1.1.1.2.1",
 }
-# CID 4014, and the directions of columns and rows in a left breast: anterior, then right or feet.
+# CID 4014, and directions of columns and rows in a left breast: anterior, then right or feet.
 VIEWS = {
     "CC": ("399162004", "cranio-caudal", ["A", "R"]),
     "MLO": ("399368009", "medio-lateral oblique", ["A", "FR"]),
@@ -39,7 +39,7 @@ def mammogram_dataset(
 ) -> FileDataset:
     """Return the DICOM data set of a mammogram of a left breast.
 
-    Unique identifiers are derived from the pixels, so that equal mammograms give equal files.
+    Unique identifiers are derived from the pixels, so equal mammograms give equal files.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def mammogram_dataset(
     view : {"CC", "MLO"}
     intent : {"presentation", "processing"}
     body_name : str
-        Patient's name and number.
+        Written as the patient's name and ID.
 
     Raises
     ------
@@ -56,7 +56,8 @@ def mammogram_dataset(
     """
     if view not in VIEWS or intent not in SOP_CLASSES:
         raise InputError(
-            f"A mammogram is CC or MLO, for presentation or processing; got {view!r}, {intent!r}."
+            f"A mammogram must be CC or MLO, for presentation or processing; got {view!r}, "
+            f"{intent!r}."
         )
     make = presentation_values if intent == "presentation" else processing_values
     pixels = np.ascontiguousarray(make(mammogram, LARGEST), dtype="<u2")
@@ -141,7 +142,7 @@ def _image(view: str, intent: str) -> dict[str, Any]:
 
 
 def _beam_and_detector(mammogram: Mammogram) -> dict[str, Any]:
-    """Return the modules DX Detector, Mammography's geometry and X-Ray Acquisition Dose."""
+    """Return the modules DX Detector and X-Ray Acquisition Dose, and the mammography geometry."""
     g = mammogram.geometry
     normal = np.cross(g.down_mm, g.right_mm)
     height = abs(float((g.source_mm - g.first_mm) @ normal)) / float(np.linalg.norm(normal))
@@ -179,7 +180,7 @@ def _pixels(pixels: Any, intent: str) -> dict[str, Any]:
         "HighBit": BITS - 1,
         "PixelRepresentation": 0,
         "PixelIntensityRelationship": "LOG" if shown else "LIN",
-        # Attenuation grows with the value (-1), or energy does (1).
+        # The value increases with attenuation (-1) or with energy (1).
         "PixelIntensityRelationshipSign": -1 if shown else 1,
         "RescaleIntercept": 0,
         "RescaleSlope": 1,
@@ -194,7 +195,7 @@ def _pixels(pixels: Any, intent: str) -> dict[str, Any]:
 
 
 def _code(value: str, meaning: str) -> Dataset:
-    """Return a term of SNOMED CT."""
+    """Return a SNOMED CT term."""
     item = Dataset()
     item.CodeValue = value
     item.CodingSchemeDesignator = "SCT"

@@ -1,4 +1,4 @@
-"""Readings of an ideal detector behind known lengths of tissue, with noise."""
+"""Readings of an ideal detector behind known lengths of tissue, with or without noise."""
 
 from dataclasses import dataclass
 
@@ -18,15 +18,15 @@ ELECTRONIC_EVENTS = 100.0
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of a pixel's reading.
+    """Noise in the readings of pixels.
 
     Parameters
     ----------
     seed : int
         Seed of both random processes.
     electronic_kev : float
-        Standard deviation of the electronic noise, in keV of absorbed energy. Some 2,000
-        electrons of 50 eV each in amorphous selenium are 100 keV.
+        Standard deviation of the electronic noise, in keV of absorbed energy. In amorphous
+        selenium, some 2,000 electrons of 50 eV each amount to 100 keV.
 
     Raises
     ------
@@ -40,21 +40,21 @@ class Noise:
     def __post_init__(self) -> None:
         if self.seed < 0 or not self.electronic_kev >= 0:
             raise InputError(
-                "Noise needs a seed >= 0 and electronic noise >= 0, got seed "
-                f"{self.seed} and {self.electronic_kev:g} keV."
+                f"The seed and the electronic noise must be >= 0, got seed {self.seed} and "
+                f"{self.electronic_kev:g} keV."
             )
 
 
 @dataclass(frozen=True, eq=False)
 class Mammogram:
-    """Reading of a detector.
+    """The readings of a detector.
 
     Parameters
     ----------
     energy_kev : ndarray of float64, shape (rows, columns)
         Energy absorbed in each pixel.
     open_kev : ndarray of float64, shape (rows, columns)
-        The same without a body and without noise.
+        Energy without a body and without noise.
     geometry : Geometry
     """
 
@@ -64,7 +64,7 @@ class Mammogram:
 
     @property
     def log_attenuation(self) -> FloatArray:
-        """ln(open / energy); readings below 1 keV count as 1 keV."""
+        """ln(open / energy), where readings below 1 keV count as 1 keV."""
         return np.asarray(np.log(self.open_kev / np.maximum(self.energy_kev, 1.0)))
 
 
@@ -85,12 +85,12 @@ def expose(
     Parameters
     ----------
     body : Volume
-        Labels of `Tissue`.
+        `Tissue` labels.
     geometry : Geometry
     spectrum : Spectrum, optional
-        Tungsten with a rhodium filter by default.
+        A tungsten anode with a rhodium filter by default.
     mas : float
-        Tube current times time, > 0.
+        Tube current times exposure time, > 0.
     noise : Noise, optional
         Noise of the reading; by default, the expected reading is returned.
 
@@ -111,9 +111,9 @@ def read_out(
     mas: float,
     noise: Noise | None = None,
 ) -> Mammogram:
-    r"""Return the expected or a noisy reading behind known lengths of tissue.
+    r"""Return an expected or noisy reading behind known lengths of tissue.
 
-    In a bin of energy E a pixel expects
+    In a bin of energy E, a pixel receives an expected
 
     .. math:: N_E = \text{mAs} \, \phi_E \, A \cos\theta \, (1000 / r)^2
               \exp\Big(-\sum_t \mu_t(E) L_t\Big)
@@ -125,7 +125,7 @@ def read_out(
     ----------
     lengths_mm : ndarray, shape (rows, columns, tissues)
     geometry, spectrum, mas, noise
-        As for `expose`.
+        See `expose`.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def read_out(
 
 
 def _weight_mm2(geometry: Geometry) -> FloatArray:
-    """Return the area of each pixel seen from the focal spot, scaled to the table's distance."""
+    """Return each pixel's area as seen from the focal spot, scaled to the table's distance."""
     ray = geometry.pixels_mm - geometry.source_mm
     distance = np.linalg.norm(ray, axis=-1)
     normal = np.cross(geometry.down_mm, geometry.right_mm)  # its length is the pixel's area

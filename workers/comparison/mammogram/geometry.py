@@ -11,7 +11,7 @@ CC_AXIS: Triple = (0.0, 1.0, 0.0)
 
 
 def mlo_axis(oblique_deg: float = 45.0) -> Triple:
-    """Return the direction from the lower to the upper plate of a mediolateral oblique view."""
+    """Return the direction from the lower to the upper plate in a mediolateral oblique view."""
     angle = np.radians(oblique_deg)
     return -float(np.sin(angle)), float(np.cos(angle)), 0.0
 
@@ -25,9 +25,9 @@ class Unit:
     source_mm : float
         Distance from the focal spot to the plane of the detector.
     gap_mm : float
-        Distance from the detector up to the plate under the body.
+        Distance from the detector to the plate under the body.
     pixel_mm : float
-        Edge of a pixel.
+        Edge length of a pixel.
 
     Raises
     ------
@@ -42,8 +42,8 @@ class Unit:
     def __post_init__(self) -> None:
         if not (0 <= self.gap_mm < self.source_mm and self.pixel_mm > 0):
             raise InputError(
-                "A mammography unit needs pixels > 0 and 0 <= gap < source distance, got pixels "
-                f"of {self.pixel_mm:g} mm, a gap of {self.gap_mm:g} and a focal spot at "
+                "A mammography unit needs pixels > 0 mm and 0 <= gap < source distance, got "
+                f"pixels of {self.pixel_mm:g} mm, a gap of {self.gap_mm:g} mm and a focal spot at "
                 f"{self.source_mm:g} mm."
             )
 
@@ -59,7 +59,7 @@ class Geometry:
     first_mm : ndarray, shape (3,)
         Centre of the pixel [0, 0].
     down_mm, right_mm : ndarray, shape (3,)
-        Steps from a pixel to the next row, and to the next column.
+        Steps from a pixel to the next row and to the next column.
     rows, columns : int
     """
 
@@ -84,7 +84,7 @@ def geometry_of(
 ) -> Geometry:
     """Place a compressed body on the detector.
 
-    The focal spot is above the edge of the chest wall, z = the lowest voxel faces, and above the
+    The focal spot is above the chest-wall edge, at the z of the lowest voxel faces, and above the
     middle of the body along the wall; no pixel is behind the wall. Rows run along the wall, columns
     from the wall to the nipple.
 
@@ -96,7 +96,7 @@ def geometry_of(
         Direction from the lower to the upper plate, perpendicular to z.
     unit : Unit
     support_mm : float, optional
-        Upper face of the lower plate along the axis; by default, the start of the body.
+        Position of the lower plate's upper face along the axis; by default, the start of the body.
 
     Raises
     ------
@@ -117,12 +117,13 @@ def geometry_of(
     if heights.max() >= plane + unit.source_mm:
         raise InputError(
             f"The body reaches {heights.max() - plane:.4g} mm above the detector, beyond the "
-            f"focal spot at {unit.source_mm:g} mm. Give the volume of the compressed body, in mm."
+            f"focal spot at {unit.source_mm:g} mm. Check that the volume is the compressed body, "
+            "in mm."
         )
     wall = float(corners[:, 2].min())
     middle = float((corners @ along).min() + (corners @ along).max()) / 2
     source = (plane + unit.source_mm) * up + middle * along + wall * out
-    # Shadows on the plane of the detector.
+    # Shadows of the corners on the plane of the detector.
     rays = corners - source
     shadow = source + rays * (unit.source_mm / -(rays @ up))[:, None]
     h = unit.pixel_mm
@@ -135,13 +136,13 @@ def geometry_of(
 def _corners(body: Volume) -> FloatArray:
     """Return the corners of the columns of voxels along z that contain tissue, shape (k, 3).
 
-    Lowest and highest z are those of the whole body, so that its shadow is inside the shadow of
-    the corners.
+    All columns span the z range of the whole body, so that its shadow is inside the shadow of the
+    corners.
     """
     tissue = body.values != Tissue.AIR
     y, x = np.nonzero(tissue.any(axis=0))
     if not len(y):
-        raise InputError("The volume is all air, without a body. Check its label map.")
+        raise InputError("The volume contains only air. Check its labels.")
     z = np.flatnonzero(tissue.any(axis=(1, 2)))
     origin, step = np.asarray(body.origin_mm), np.asarray(body.spacing_mm)
     ends = []

@@ -7,7 +7,7 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
 from palpate.workers.comparison.mammogram.exposure import Mammogram
 
-# Of the pixels behind the body; darker and brighter values saturate.
+# Percentiles of the pixels behind the body; darker and brighter values saturate.
 PERCENTILES = (1.0, 99.5)
 # Pixels with less attenuation than this, ln(open / energy), count as air.
 AIR = 0.05
@@ -17,7 +17,7 @@ LARGEST_DIFFERENCE = 0.1
 
 
 def presentation_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16]:
-    """Return the log attenuation in whole numbers: dense tissue bright, air dark.
+    """Return the log attenuation as whole numbers: dense tissue bright, air dark.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def presentation_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16
 
 
 def processing_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16]:
-    """Return the energy in whole numbers, linear; the open field is at nine tenths of the scale.
+    """Return the energy as whole numbers on a linear scale, with the open field at nine tenths.
 
     Parameters
     ----------
@@ -53,15 +53,15 @@ def processing_values(mammogram: Mammogram, largest: int) -> NDArray[np.uint16]:
 
 
 def grey_picture(mammogram: Mammogram) -> NDArray[np.uint8]:
-    """Return the picture for presentation in 8 bits."""
+    """Return the 8-bit picture for presentation."""
     return presentation_values(mammogram, 255).astype(np.uint8)
 
 
 def difference_picture(first: Mammogram, second: Mammogram) -> NDArray[np.uint8]:
     """Return the signed difference of attenuations (thesis Fig. 4.18): grey if equal.
 
-    White (black) means that the first (second) attenuates more by a tenth of the first one's
-    range; differences of breasts are hundredths of it.
+    White (black) means that the first (second) attenuates more, by a tenth of the range of the
+    first; differences between breasts are hundredths of that range.
 
     Raises
     ------
@@ -71,7 +71,8 @@ def difference_picture(first: Mammogram, second: Mammogram) -> NDArray[np.uint8]
     a, b = first.log_attenuation, second.log_attenuation
     if a.shape != b.shape:
         raise InputError(
-            f"The mammograms have {a.shape} and {b.shape} pixels. Take both in the same geometry."
+            f"The mammograms have different shapes, {a.shape} and {b.shape} pixels. Take both in "
+            "the same geometry."
         )
     low, high = window_of(a)
     grey = EQUAL + 127 * (a - b) / (LARGEST_DIFFERENCE * (high - low))

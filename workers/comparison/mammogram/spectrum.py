@@ -16,14 +16,14 @@ NEGLIGIBLE = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Photon spectrum that reaches the body.
+    """Spectrum of the photons that reach the body.
 
     Parameters
     ----------
     energies_kev : ndarray, shape (k,)
-        Ascending.
+        Photon energies, ascending.
     photons_per_mm2_mas : ndarray, shape (k,)
-        Photons in each bin, per mAs, at 1000 mm from the focal spot.
+        Photons in each bin per mAs, 1000 mm from the focal spot.
 
     Raises
     ------
@@ -42,7 +42,7 @@ class Spectrum:
                 f"{energies.shape} and {photons.shape}."
             )
         if not photons.sum() > 0:
-            raise InputError("A spectrum needs a photon count > 0, but all counts are 0.")
+            raise InputError("A spectrum needs at least one photon, but all counts are 0.")
 
 
 def spectrum_of(beam: Beam) -> Spectrum:
@@ -51,7 +51,7 @@ def spectrum_of(beam: Beam) -> Spectrum:
     Parameters
     ----------
     beam : {"mo_mo", "rh_rh", "w_rh"}
-        Anode and filter: molybdenum, rhodium, or tungsten with a rhodium filter.
+        Anode and filter: molybdenum, rhodium, or tungsten with rhodium.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Small tables in the package; the first lines of each give its source."""
+"""Small tables shipped with the package; the first lines of each name its source."""
 
 from functools import lru_cache
 from importlib.resources import files
@@ -10,7 +10,7 @@ from palpate.storage.values import FloatArray
 
 @lru_cache(maxsize=32)
 def table(name: str) -> FloatArray:
-    """Read a table of two columns, shape (rows, 2), ascending in the first.
+    """Read a table of two columns, shape (rows, 2), ascending in the first column.
 
     Parameters
     ----------

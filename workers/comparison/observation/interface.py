@@ -14,8 +14,8 @@ from palpate.storage.values import BoolArray, FloatArray, IntArray, Tissue, Volu
 from palpate.workers.comparison.observation.isosurface import SMOOTH_VOXELS, Surface, surface
 from palpate.workers.comparison.observation.signed_distance import SignedDistance, distance_to
 
-SMALLEST_VOXELS = 30  # parts smaller than a ball of so many voxels are ignored
-# Random points at distances of at least r reach a density of one per 1.44 r^2 (Renyi's
+SMALLEST_VOXELS = 30  # parts smaller than a ball of this many voxels are ignored
+# Random points at least r apart reach a density of one per 1.44 r^2 (Renyi's
 # parking in the plane, coverage 0.547; J. Feder, J. Theor. Biol. 87 (1980) 237-254).
 CLOSEST = 0.835
 SEED = 20140213
@@ -23,7 +23,7 @@ SEED = 20140213
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """A tissue boundary that is visible in both scans.
+    """A tissue boundary that is visible in the reference and the deformed scans.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ GLANDULAR = Interface("glandular", (Tissue.GLANDULAR,))
 
 @dataclass(frozen=True, eq=False)
 class InterfacePoints:
-    """Set of k points spread evenly on interfaces.
+    """Set of k points spread evenly over interfaces.
 
     Parameters
     ----------
@@ -54,10 +54,10 @@ class InterfacePoints:
     interface : ndarray of int32, shape (k,)
         Index of the interface.
     area_mm2 : ndarray, shape (k,)
-        Area of interface represented by the point.
+        Area of the interface that the point represents.
     part : ndarray of int32, shape (k,)
-        Index of the connected piece of interface, such as the shell of one compartment of
-        gland; numbered through all interfaces, within each from the largest.
+        Index of the connected piece of the interface, such as the shell of one glandular
+        compartment; numbered across all interfaces, and within each from the largest.
     """
 
     points: FloatArray
@@ -96,24 +96,25 @@ def interface_points(
         `Tissue` labels, z from the chest wall to the nipple.
     interfaces : sequence of Interface
     spacing_mm : float
-        Each point represents about its square (a fifth more if it is as short as three voxels);
-        points are at least 0.8 of it apart, unless their normals are opposite. > 0.
+        Spacing of the points, > 0. Each point represents about its square (a fifth more for a
+        spacing of only three voxels); points are at least 0.8 times it apart, unless their normals
+        are opposite.
     wall_margin_mm : float
-        No points closer than this to the lowest point of the body, where the scan ends
-        and not the tissue. >= 0.
+        Minimum distance from the lowest point of the body, where the scan ends but not the tissue,
+        >= 0.
     clear_mm : float
-        Use only points with this thickness of one tissue on either side, along the normal.
-        Strands and clefts about as thin as the errors of a segmentation may be missing in
-        another segmentation of the same image, where the nearest interface is another one.
-        0 keeps all; >= 0.
+        Thickness of a single tissue required on either side of a point, along the normal, >= 0; 0
+        keeps all points. Strands and clefts about as thin as the errors of a segmentation may be
+        missing in another segmentation of the same image, in which the nearest interface is then a
+        different one.
     smooth_voxels : float
         See `workers.comparison.observation.isosurface.surface`.
 
     Returns
     -------
     InterfacePoints
-        The same points on every call. Faces of the volume's box that cut tissue have none,
-        nor do pieces of the size of a few voxels.
+        The points, the same on every call. There are none where a face of the volume's box cuts
+        tissue, nor on pieces of only a few voxels.
 
     Raises
     ------
@@ -123,12 +124,12 @@ def interface_points(
     if not (spacing_mm > 0 and wall_margin_mm >= 0 and clear_mm >= 0):
         raise InputError(
             "Points need a spacing > 0 mm, a margin >= 0 mm from the chest wall and a clearance "
-            f">= 0 mm on either side, found {spacing_mm}, {wall_margin_mm} and {clear_mm}."
+            f">= 0 mm on either side, found {spacing_mm}, {wall_margin_mm} and {clear_mm} mm."
         )
     smallest = (36 * np.pi) ** (1 / 3) * (SMALLEST_VOXELS * labels.voxel_mm3) ** (2 / 3)
     body = surface(labels, OUTLINE.inside, smooth_voxels)
     counted = _parts(body, smallest) >= 0
-    # A body of a few voxels has no part of that size; any height will do for it.
+    # A body of a few voxels has no part of that size; its lowest vertex then does not matter.
     lowest = body.vertices[counted if counted.any() else slice(None), 2].min() + wall_margin_mm
     spread = []
     for interface in interfaces:
@@ -170,7 +171,7 @@ def _parts(drawn: Surface, smallest_mm2: float) -> IntArray:
 
 
 def _has_clearance(drawn: Surface, distance: SignedDistance, clear_mm: float) -> BoolArray:
-    """Return True where both ways along the normal stay clear of every interface."""
+    """Return True where no interface is near in either direction along the normal."""
     way = clear_mm * drawn.normals()
     inwards, _ = distance.at(drawn.vertices - way)
     outwards, _ = distance.at(drawn.vertices + way)
@@ -180,7 +181,7 @@ def _has_clearance(drawn: Surface, distance: SignedDistance, clear_mm: float) ->
 def _points_on_surface(
     drawn: Surface, parts: IntArray, spacing_mm: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Return points, normals, areas and parts of one interface, from vertices of a part >= 0."""
+    """Return points, normals, areas and parts of one interface, without parts < 0."""
     free = parts >= 0
     share = np.repeat(drawn.triangle_areas_mm2() / 3, 3)
     area = _sums(drawn.triangles.ravel(), share, len(drawn.vertices))[free]
@@ -195,7 +196,7 @@ def _points_on_surface(
 
 
 def _thin_out(points: FloatArray, normals: FloatArray, closest_mm: float) -> BoolArray:
-    """Select points of which those on the same side are at least `closest_mm` apart."""
+    """Select points such that any two on the same side are at least `closest_mm` apart."""
     near = KDTree(points)
     taken = np.zeros(len(points), np.bool_)
     kept = np.zeros(len(points), np.bool_)
@@ -217,11 +218,11 @@ def checked_interfaces(interface: NDArray[np.integer], known: int) -> None:
     Raises
     ------
     InputError
-        If one is not; names the highest index.
+        If an index is unknown; names the highest one.
     """
     highest = int(interface.max(initial=-1))
     if highest >= known:
         raise InputError(
-            f"A point is on interface number {highest}, but only {known} were observed. "
-            "Observe the interfaces of the points, in the same order."
+            f"A point is on interface number {highest}, but only {known} interfaces were "
+            "observed. Observe the interfaces of the points, in the same order."
         )

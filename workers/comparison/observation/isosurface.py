@@ -1,15 +1,14 @@
-r"""Subvoxel interface of a tissue, as triangles.
+r"""The interface of a tissue with subvoxel accuracy, as triangles.
 
-The indicator of the tissue is blurred and its level 0.5 is extracted by marching
-cubes [1]_. A Gaussian g_s of standard deviation s pulls a curved level inwards by
-s^2 / 2 times the sum of the principal curvatures [2]_: a fifth of a voxel for
-s = 1.5 on a sphere of ten. In ``2 g_s - g_2s`` that term cancels, since it is proportional
-to the density of the kernel on a plane through its centre times the
-variance along it, hence to s.
+The indicator of the tissue is blurred and its level 0.5 is extracted by marching cubes [1]_. A
+Gaussian g_s of standard deviation s pulls a curved level inwards by s^2 / 2 times the sum of the
+principal curvatures [2]_: a fifth of a voxel for s = 1.5 on a sphere of ten. In ``2 g_s - g_2s``
+that term cancels: it is proportional to the density of the kernel on a plane through its centre
+times the variance along that plane, hence to s.
 
-Labels alone do not locate an interface along the grid within a voxel: on
-spheres of 6 to 40 voxels the level errs by 0.04 voxels in the mean, and by up to
-0.4 where the sphere is parallel to the grid.
+Labels alone do not locate an interface parallel to the grid within a voxel: on spheres of 6 to 40
+voxels, the level is off by 0.04 voxels on average, and by up to 0.4 where the sphere is parallel to
+the grid.
 
 References
 ----------
@@ -31,13 +30,13 @@ from palpate.workers.comparison.observation.cubic_interpolation import at_points
 from palpate.workers.comparison.observation.gaussian_blur import blurred
 
 LEVEL = 0.5
-SMOOTH_VOXELS = 1.5  # less leaves a staircase of voxels, more loses thin sheets
+SMOOTH_VOXELS = 1.5  # smaller values leave a staircase of voxels, larger values lose thin sheets
 FARTHEST = 3.5  # reach of a Gaussian in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Level 0.5 of a blurred indicator.
+    """Level set 0.5 of a blurred indicator.
 
     Parameters
     ----------
@@ -50,8 +49,8 @@ class Surface:
     vertices : ndarray, shape (n, 3)
         (x, y, z) in mm.
     triangles : ndarray of int32, shape (m, 3)
-        In no particular orientation. Where the box of the volume cuts the tissue, the
-        surface is open: a cut is not an interface.
+        Triangles in no particular orientation. Where the box of the volume cuts the tissue, the
+        surface is open, because a cut is not an interface.
     """
 
     field: NDArray[np.float32]
@@ -86,7 +85,7 @@ def surface(
     inside : tuple of Tissue
         The enclosed tissues.
     smooth_voxels : float
-        s, along each axis; 0 for none. Sheets thinner than 0.9 s vanish.
+        Blur s along each axis; 0 for none. Sheets thinner than 0.9 s vanish.
 
     Raises
     ------
@@ -94,13 +93,13 @@ def surface(
         If the tissue is missing, fills the volume, or is too small for the blur.
     """
     if not smooth_voxels >= 0:
-        raise InputError(f"The blur is a number of voxels >= 0, found {smooth_voxels}.")
+        raise InputError(f"smooth_voxels must be >= 0, found {smooth_voxels}.")
     names = ", ".join(tissue.name.lower() for tissue in inside)
     mask = np.isin(labels.values, [int(tissue) for tissue in inside])
     if not mask.any():
         raise InputError(
-            f"The volume has no voxel of {names}, so it has no such interface. "
-            "Check the labels, or leave the interface out."
+            f"The volume has no voxel of {names}, so it has no such interface. Check the labels, "
+            "or omit the interface."
         )
     field, start = _blurred(mask, smooth_voxels)
     if not field.min() < LEVEL < field.max():
@@ -136,7 +135,7 @@ def _blurred(
         box.append(slice(first, int(there[-1]) + radius + 2))
     field = mask[tuple(box)].astype(np.float32)
     if smooth_voxels > 0:
-        # Beyond the volume its outermost values are continued.
+        # Outside the volume, the outermost values are continued.
         narrow, wide = (
             blurred(field, (s, s, s), FARTHEST) for s in (smooth_voxels, 2 * smooth_voxels)
         )

@@ -1,4 +1,4 @@
-"""Frames in which a marker was lost, however its position is recorded.
+"""Detection of the frames in which a marker was lost, however they are recorded.
 
 A tracker that loses a marker leaves the cell empty, writes the same number for all three
 coordinates (0, -1, 9999), misplaces the marker for some frames, or repeats its
@@ -14,18 +14,18 @@ from palpate.storage.values import BoolArray, FloatArray, IntArray
 
 # A marker that moves this many times more than any other has jumped.
 ALONE = 5.0
-# So has one that moves this many times more than usual.
+# So has a marker that moves this many times more than usual.
 UNUSUAL = 20.0
-# Number of frames that must repeat a position, while others move, to be stale.
+# Minimum number of frames that repeat a position, while other markers move, to be stale.
 STALE_FRAMES = 3
 # Steps smaller than this fraction of the largest count as rest.
 REST = 0.1
-# Markers that rest more often than this while others move are never called stale.
+# Markers at rest more often than this while others move are never considered stale.
 OFTEN_STILL = 0.1
 
 
 def without_lost(places_mm: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return positions of markers, shape (t, 3) each, with nan where a marker was lost."""
+    """Return the positions of markers, shape (t, 3) each, with nan where a marker was lost."""
     names = list(places_mm)
     seen = np.stack([np.asarray(places_mm[name], np.float64) for name in names])
     seen[~np.isfinite(seen)] = np.nan
@@ -51,7 +51,7 @@ def _placeholders(seen: FloatArray, lost: BoolArray) -> BoolArray:
 
 
 def _jumped(seen: FloatArray, lost: BoolArray, asked: BoolArray) -> BoolArray:
-    """Return a mask of the frames in question in which the marker is far from its other frames."""
+    """Return a mask of the `asked` frames in which the marker is far from its other positions."""
     found = np.zeros_like(lost)
     for marker, frame in np.argwhere(asked):
         known = np.flatnonzero(~lost[marker])
@@ -67,16 +67,16 @@ def _jumped(seen: FloatArray, lost: BoolArray, asked: BoolArray) -> BoolArray:
 
 
 def _usual(steps: FloatArray) -> float:
-    """Return a usual nonzero step; 0 if there are too few.
+    """Return a typical nonzero step; 0 if there are too few.
 
-    It is the lower quartile: many of few steps may be jumps.
+    It is the lower quartile, because many of the few steps may be jumps.
     """
     moved = steps[steps > 0]
     return float(np.quantile(moved, 0.25)) if len(moved) > 4 else 0.0
 
 
 def _excursions(seen: FloatArray, lost: BoolArray) -> BoolArray:
-    """Return a mask of frames in which a single marker jumps away, before it jumps back."""
+    """Return a mask of frames in which a single marker has jumped away, before it jumps back."""
     found = np.zeros_like(lost)
     if len(seen) < 2:
         return found
@@ -98,7 +98,7 @@ def _excursions(seen: FloatArray, lost: BoolArray) -> BoolArray:
 def _largest_other_step(
     seen: FloatArray, lost: BoolArray, marker: int, known: IntArray
 ) -> FloatArray:
-    """Return the longest step of any other marker between frames, shape (len(known) - 1,)."""
+    """Return the longest step of any other marker between known frames, shape (len(known) - 1,)."""
     steps = np.linalg.norm(np.diff(seen[:, known], axis=1), axis=2)
     bad = lost[:, known]
     steps = np.where(bad[:, 1:] | bad[:, :-1], 0.0, steps)
@@ -134,6 +134,6 @@ def _stale(seen: FloatArray, lost: BoolArray) -> BoolArray:
 
 
 def _runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """Return first and last index of each run of true flags."""
+    """Return the first and last index of each run of true flags."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
     return [(int(a), int(b) - 1) for a, b in edges.reshape(-1, 2)]

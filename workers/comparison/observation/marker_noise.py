@@ -1,12 +1,12 @@
-r"""Noise of the displacements of markers, estimated from repeats.
+r"""Noise in the displacements of markers, estimated from repeats.
 
 Component c of the displacement of marker i in repeat r scatters as
 
 .. math:: d_{rci} = \mu_{ci} + a_{rc} + e_{rci}, \qquad a \sim N(0, \sigma_a^2),
           \quad e \sim N(0, \sigma_e^2):
 
-a common error of all markers of a recording, and one of each marker. An analysis of variance
-of repeats estimates both, but not an error that all repeats share.
+an error common to all markers of a recording, and an error of each marker. An analysis of variance
+of the repeats estimates both, but not an error that all repeats share.
 """
 
 from collections.abc import Sequence
@@ -20,14 +20,14 @@ from palpate.storage.values import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Standard deviations of one recording: of each marker, and common to all markers."""
+    """Standard deviations of one recording: of each marker's own error, and of the common error."""
 
     own_mm: float
     common_mm: float
 
 
 def scatter_of(repeats: FloatArray) -> Scatter:
-    """Estimate standard deviations from several repeats, shape (r, k, axes), r >= 2.
+    """Estimate the standard deviations from repeats, shape (r, k, axes), r >= 2.
 
     Raises
     ------
@@ -36,7 +36,7 @@ def scatter_of(repeats: FloatArray) -> Scatter:
     """
     r, k, axes = repeats.shape
     if r < 2:
-        raise InputError("Scatter needs at least two repeats of a state, found one.")
+        raise InputError("Estimating the scatter needs at least two repeats of a state, found one.")
     away = repeats - repeats.mean(axis=0)
     shared = away.mean(axis=1, keepdims=True)
     common = float((shared**2).sum() / (axes * (r - 1)))
@@ -52,9 +52,9 @@ def component_covariance(
     """Return the covariance of the components of all states, shape (3 s k, 3 s k).
 
     Row ``3 (s k + i) + c`` is component c of point i in state s. Errors of single recordings
-    decrease with the number of repeats. Errors that all repeats share, such as a tilted base or a
-    body that was not at rest, do not: they are assumed to be as large as the errors between
-    repeats, and at least `floor`.
+    average out over the repeats. Errors that all repeats share, such as a tilted base or a body
+    that was not at rest, do not: they are assumed to be as large as the errors between repeats, and
+    at least `floor`.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ LENGTHS = {
     "nm": 1e-6,
 }
 SECONDS = ("s", "sec")
-# A marker visible in at most this fraction of a window's frames counts as not seen in it.
+# A marker visible in at most this fraction of a window's frames counts as not seen.
 LEAST_VISIBLE = 0.2
 
 
@@ -39,11 +39,11 @@ class Recording:
     ----------
     times_s : ndarray, shape (t,)
     places_mm : dict of str to ndarray, shape (t, 3)
-        nan where a marker was not seen.
+        Positions by marker name; nan where a marker was not seen.
     name : str
         Name of the file, for messages.
     is_flat : bool
-        Whether z was not recorded; it is zero.
+        Whether z was not recorded and is zero.
     """
 
     times_s: FloatArray
@@ -60,7 +60,7 @@ class Recording:
         Raises
         ------
         InputError
-            If the marker was not seen in it.
+            If the marker was not seen in the window.
         """
         last = float(self.times_s[-1])
         low, high = (last + s if s < 0 else s for s in window_s)
@@ -74,10 +74,10 @@ class Recording:
         visible = places[np.isfinite(places).all(axis=1)]
         seen, frames = visible.shape[0], places.shape[0]
         if seen <= LEAST_VISIBLE * frames:
-            often = f"in more than {seen} of {frames} frames " if seen else ""
+            often = f"seen in only {seen} of {frames} frames" if seen else "not seen"
             raise InputError(
-                f"{self.name}: the marker {name} was not seen {often}between {low:g} and {high:g} "
-                f"s; {lasts}. Leave out the marker or the file, or choose other windows."
+                f"{self.name}: the marker {name} was {often} between {low:g} and {high:g} "
+                f"s; {lasts}. Omit the marker or the file, or choose other windows."
             )
         return np.asarray(visible.mean(axis=0))
 
@@ -87,7 +87,7 @@ class Recording:
         missing = {n: np.asarray(np.isnan(p).any(axis=1)) for n, p in self.places_mm.items()}
         return [
             f"The marker {name} is missing in {int(frames.sum())} of {len(frames)} frames of "
-            f"{self.name}; these frames are left out."
+            f"{self.name}; these frames are ignored."
             for name, frames in missing.items()
             if frames.any()
         ]
@@ -101,27 +101,27 @@ def read_recording(
     mm_per_unit: float,
     z_is_optional: bool = False,
 ) -> Recording:
-    """Read the markers of a table.
+    """Read the positions of markers from a table.
 
     Parameters
     ----------
     path : Path
-        Comma-separated, names of the columns in the first line.
+        Text file with the names of the columns above the rows; see `number_table`.
     time : str
         Name of the column with the time in s.
     column : str
-        Name pattern of the other columns, with {marker} and {axis}.
+        Name pattern of the other columns, which contains {marker} and {axis}.
     names : sequence of str
         The markers to read.
     mm_per_unit : float
-        Length unit of the table: 1000 for m.
+        Length unit of the table, such as 1000 for m.
     z_is_optional : bool
-        Whether the columns of z may all be absent, as of a sheet.
+        Whether all z columns may be absent, as for a sheet.
 
     Raises
     ------
     InputError
-        If the file cannot be read, lacks a column or any row, or its times do not ascend.
+        If the file cannot be read, lacks a column, has no rows, or its times do not increase.
     """
     wanted = {n: [column.replace("{axis}", a).replace("{marker}", n) for a in AXES] for n in names}
     units = {c: _names_of(mm_per_unit) for three in wanted.values() for c in three}
@@ -139,7 +139,7 @@ def read_recording(
 
 
 def _names_of(mm_per_unit: float) -> list[str]:
-    """Return the names of a unit of length."""
+    """Return the accepted names of a length unit."""
     return [name for name, mm in LENGTHS.items() if np.isclose(mm, mm_per_unit, rtol=1e-3)]
 
 
@@ -147,13 +147,13 @@ def _check_times(path: Path, times_s: FloatArray, lines: Sequence[int]) -> None:
     bad = np.flatnonzero(~np.isfinite(times_s))
     if len(bad):
         raise InputError(
-            f"{path}, line {lines[bad[0]]}: the row has no time. Complete it, or remove the row."
+            f"{path}, line {lines[bad[0]]}: the row has no time. Add the time, or remove the row."
         )
     late = np.flatnonzero(np.diff(times_s) <= 0)
     if len(late):
         at = int(late[0])
         raise InputError(
             f"{path}, line {lines[at + 1]}: the time {times_s[at + 1]:g} s follows "
-            f"{times_s[at]:g} s in line {lines[at]}. Times must ascend: sort the rows, and give "
-            "each recording a file of its own."
+            f"{times_s[at]:g} s on line {lines[at]}. Times must increase: sort the rows, and use "
+            "a separate file for each recording."
         )

@@ -1,18 +1,18 @@
-r"""Scatter of interfaces by segmentation errors.
+r"""Scatter of interfaces due to segmentation errors.
 
 A segmentation shifts an interface along its normal by a smooth random amount. For
 two points of the same interface at the reference distance h, with normals n and n',
 
 .. math:: K = \exp\left(-\frac{h^2}{2 l^2}\right) \frac{1 + n \cdot n'}{2} ,
 
-so that errors of the two sides of a thin sheet are independent. Both factors, and with them
-their product (Schur), are positive semi-definite; excluding pairs of points by
-the sign of ``n . n'`` would break that. Residuals of points i, j in states s, t have
+so that errors on the two sides of a thin sheet are independent. Both factors, and therefore their
+product (Schur), are positive semi-definite; excluding pairs of points by the sign of ``n . n'``
+would break this property. Residuals of points i, j in states s, t have
 
 .. math:: C_{si,tj} = (\sigma_{ref}^2 + \delta_{st} \sigma^2) K_{ij}
           + \delta_{st} \delta_{ij} \nu^2 :
 
-the reference scan was segmented once, for all states; each deformed scan separately. Where a
+the reference scan was segmented once, for all states, and each deformed scan separately. Where a
 plate flattens the surface, the first term vanishes.
 """
 
@@ -25,7 +25,7 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
 from palpate.workers.comparison.observation.interface import InterfacePoints
 
-SMALLEST_NUGGET = 1e-3  # of the largest standard deviation; less and Cholesky may fail
+SMALLEST_NUGGET = 1e-3  # of the largest standard deviation; if smaller, Cholesky may fail
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,9 +41,9 @@ class SegmentationNoise:
     reference_sd_mm : float
         Standard deviation in the reference scan; >= 0.
     nugget_mm : float
-        Standard deviation of the independent error of each residual, from both scans: the
-        effect of the voxels on an interface, some 0.08 of a voxel. At least a thousandth of
-        the largest of the others.
+        Standard deviation of the independent error of each residual, from both scans: the effect of
+        the voxels on an interface, some 0.08 of a voxel. At least a thousandth of the larger of the
+        other two.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def correlation(points: InterfacePoints, correlation_mm: float) -> FloatArray:
     Returns
     -------
     ndarray, shape (k, k)
-        Ones on the diagonal, zero between interfaces.
+        Ones on the diagonal, zeros between different interfaces.
     """
     matrix = np.asarray(cdist(points.points, points.points, "sqeuclidean"))
     matrix *= -0.5 / correlation_mm**2
@@ -112,18 +112,18 @@ def covariance(
     states : int
         Number of deformed scans; >= 1.
     free : ndarray, shape (states, k), optional
-        Fraction of the reference scan's error that each point keeps, 0 to 1; by default 1.
+        Fraction of the reference scan's error that each point keeps, 0 to 1; 1 by default.
 
     Returns
     -------
     ndarray, shape (states * k, states * k)
-        In mm^2, positive definite; row ``s * k + i`` is point i in state s. It takes
+        Covariance in mm^2, positive definite; row ``s * k + i`` is point i in state s. It occupies
         ``8 (states k)^2`` bytes.
 
     Raises
     ------
     InputError
-        If there is no state.
+        If there are no states.
     """
     if states < 1:
         raise InputError(f"A covariance needs at least one deformed scan, found {states}.")

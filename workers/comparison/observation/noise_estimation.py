@@ -1,9 +1,8 @@
 r"""Segmentation noise, estimated from two segmentations of one image.
 
-Both scatter about the truth, so the signed distance r of one to the other has twice
-the variance; its nugget equals the nugget of a residual, which also compares two scans.
-Half the mean square of ``r_i - r_j`` over pairs at distance h (the variogram, [1]_) is
-fitted by
+Both scatter about the truth, so the signed distance r from one to the other has twice the variance;
+its nugget equals the nugget of a residual, which also compares two scans. Half the mean square of
+``r_i - r_j`` over pairs at distance h (the variogram, [1]_) is fitted by
 
 .. math:: \gamma(h) = \nu^2 + 2 \sigma^2 \left(1 - e^{-h^2 / 2 l^2}\right) .
 
@@ -36,7 +35,7 @@ from palpate.workers.comparison.observation.residual import observe, residual
 
 BINS = 24
 FEWEST_PAIRS = 1000
-MOST_POINTS = 6000  # more are thinned out: the number of pairs grows with the square
+MOST_POINTS = 6000  # larger sets are thinned out: the number of pairs grows with the square
 
 
 def from_repeat(
@@ -60,12 +59,12 @@ def from_repeat(
     spacing_mm, wall_margin_mm, clear_mm, smooth_voxels : float
         See `workers.comparison.observation.interface.interface_points`.
     reach_mm : float
-        Largest distance of pairs; three correlation lengths or more.
+        Largest distance between paired points; three correlation lengths or more.
 
     Returns
     -------
     SegmentationNoise
-        With equal noise in the reference scan and the others.
+        Noise, equal in the reference scan and the deformed scans.
 
     Raises
     ------
@@ -98,7 +97,7 @@ def from_repeat(
 def variogram(
     points: InterfacePoints, r: FloatArray, reach_mm: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return half the mean square difference of values at pairs of points, by distance.
+    """Return half the mean square difference between values at pairs of points, by distance.
 
     Parameters
     ----------
@@ -137,7 +136,7 @@ def _fitted(
         return np.asarray(p[0] ** 2 + p[1] ** 2 * (1 - np.exp(-0.5 * (h / p[2]) ** 2)))
 
     def misfit(p: FloatArray) -> FloatArray:
-        # Cressie's weights: the scatter of a value is proportional to the value.
+        # Cressie's weights: the scatter of each value is proportional to the value itself.
         return np.asarray(np.sqrt(pairs) * (gamma / np.maximum(model(p), 1e-12) - 1))
 
     sill = float(np.sqrt(max(gamma.max(), 1e-12)))

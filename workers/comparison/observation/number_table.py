@@ -1,8 +1,8 @@
 """Tables of numbers exported by instruments and spreadsheets.
 
-Supported are UTF-8 and UTF-16; commas, semicolons, tabs and blanks between the columns; decimal
-points and decimal commas; comment lines and one row of units. Ambiguous numbers are refused,
-with their line.
+It supports UTF-8 and UTF-16; commas, semicolons, tabs and spaces between columns; decimal points
+and decimal commas; comment lines and one row of units. Ambiguous numbers are rejected, and the
+error names the line.
 """
 
 import csv
@@ -28,7 +28,7 @@ UNITS = frozenset(
 ) | {"in", "inch", "n", "kn", "mn", "px", "pixel", "deg", "rad", "hz"}
 MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"})
 INFINITE = frozenset({"inf", "infinity", "∞"})
-# Blanks and apostrophes between groups of three digits.
+# Spaces and apostrophes between groups of three digits.
 _GROUPS = re.compile(r"(?<=\d)[ '\u2019\u00a0\u2009\u202f](?=\d{3}(?!\d))")
 _NUMBER = (
     r"(?=[+-]?[.,]?\d)[+-]?(?:\d+|[1-9]\d{{0,2}}(?:{group}\d{{3}})+)?(?:{mark}\d*)?"
@@ -47,7 +47,7 @@ class NumberTable:
     ----------
     columns : mapping of str to ndarray, shape (t,)
     lines : tuple of int
-        Line of each row in the file, from 1.
+        Line number of each row in the file, from 1.
     """
 
     columns: Mapping[str, FloatArray]
@@ -74,20 +74,20 @@ def read_table(
     columns, optional : sequence of str
         Required columns, and columns that may be absent.
     units : mapping of str to collection of str, optional
-        Units of a column that are accepted in a row of units below the header.
+        Units accepted for each column in a row of units below the header.
 
     Raises
     ------
     InputError
-        If the file cannot be read, lacks a column or any row, repeats a column, has a row whose
-        length differs from its header, or a cell that is not a number.
+        If the file cannot be read, lacks a column, has no rows, repeats a column, or contains a row
+        whose length differs from the header or a cell that is not a number.
     """
     with reading(path, "a table"):
         header, rows = _split(path, _lines(path), columns)
         _check_header(path, header, columns)
         rows = _without_units(path, header, rows, units or {})
         if not rows:
-            raise InputError(f"{path} has no rows: expected column names, then numbers.")
+            raise InputError(f"{path} has no rows; expected column names, then numbers.")
         for line, cells in rows:
             if len(cells) != len(header):
                 raise InputError(_wrong_length(path, line, cells, header))
@@ -133,7 +133,7 @@ def _split(path: Path, lines: Sequence[str], columns: Sequence[str]) -> tuple[li
     filled = [(n, text) for n, text in enumerate(lines, start=1) if text.strip(" \t,;|\"'")]
     body = [pair for pair in filled if not _is_comment(pair[1])]
     if not body:
-        raise InputError(f"{path} has no rows: expected column names, then numbers.")
+        raise InputError(f"{path} has no rows; expected column names, then numbers.")
     named = [pair for pair in filled if columns[0] in pair[1]]
     candidates = [
         (line, mark, _cells(text.strip().lstrip("#% "), mark))
@@ -160,7 +160,7 @@ def _check_header(path: Path, header: Sequence[str], columns: Sequence[str]) -> 
     missing = [c for c in columns if c not in header]
     if missing:
         raise InputError(
-            f"{path} lacks the columns {', '.join(missing[:3])}; it has "
+            f"{path} lacks the columns {', '.join(missing[:3])}; its columns are "
             f"{_short(', '.join(header))}."
         )
     repeated = sorted({name for name in header if name and header.count(name) > 1})
@@ -174,7 +174,7 @@ def _check_header(path: Path, header: Sequence[str], columns: Sequence[str]) -> 
 def _without_units(
     path: Path, header: list[str], rows: list[Row], units: Mapping[str, Collection[str]]
 ) -> list[Row]:
-    """Return the rows without a row of units at the top, which must be the expected ones."""
+    """Return the rows without the row of units at the top, if any, after checking its units."""
     if not rows or any(_is_number(cell) for cell in rows[0][1]) or not any(rows[0][1]):
         return rows
     line, cells = rows[0]
@@ -206,12 +206,12 @@ def _wrong_length(path: Path, line: int, cells: Sequence[str], header: Sequence[
 
 
 def _tidy(cell: str) -> str:
-    """Return a cell without digit grouping, with an ordinary minus."""
+    """Return a cell without digit grouping and with an ordinary minus sign."""
     return _GROUPS.sub("", cell.strip().strip("\"'").replace("\u2212", "-").strip())
 
 
 def _numbers(path: Path, texts: Mapping[str, list[tuple[int, str]]]) -> dict[str, FloatArray]:
-    """Return columns as numbers, in the one convention that fits all their cells."""
+    """Return columns as numbers, using the one convention that fits all their cells."""
     cells = [(name, line, t) for name, column in texts.items() for line, t in column]
     for name, line, text in cells:
         if len(text) > LONGEST:
@@ -228,7 +228,7 @@ def _numbers(path: Path, texts: Mapping[str, list[tuple[int, str]]]) -> dict[str
 
 
 def _special(text: str) -> float | None:
-    """Return the value of a word for a missing or infinite number; None for digits."""
+    """Return the value of a word for a missing or infinite number; None for other text."""
     word = text.lower()
     if word in MISSING:
         return float("nan")
@@ -261,7 +261,7 @@ def _unreadable(
     points: Sequence[bool],
     commas: Sequence[bool],
 ) -> str:
-    """Return the message for cells that fit no convention, two, or different ones."""
+    """Return the error for cells that fit no convention, both, or different conventions."""
     pairs: Iterator[tuple[tuple[str, int, str], bool, bool]] = zip(
         cells, points, commas, strict=True
     )
@@ -270,7 +270,7 @@ def _unreadable(
         if not point and not comma:
             return (
                 f"{path}, line {line}: {_short(text)!r} in column {name} is not a number. "
-                "Expected numbers, and an empty cell or nan where nothing was measured."
+                "Expected a number, or an empty cell or nan where nothing was measured."
             )
     if all(points):
         name, line, text = next(c for c in cells if "," in c[2])
@@ -281,8 +281,8 @@ def _unreadable(
     by_point = next(c for c, point, comma in known if point and not comma)
     by_comma = next(c for c, point, comma in known if comma and not point)
     return (
-        f"{path} mixes decimal points and commas: {_short(by_point[2])!r} in line {by_point[1]}, "
-        f"{_short(by_comma[2])!r} in line {by_comma[1]}. Export with one decimal mark."
+        f"{path} mixes decimal points and commas: {_short(by_point[2])!r} on line {by_point[1]}, "
+        f"{_short(by_comma[2])!r} on line {by_comma[1]}. Export with one decimal mark."
     )
 
 

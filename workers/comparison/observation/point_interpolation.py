@@ -21,7 +21,7 @@ def interpolation(mesh: TetMesh, points: FloatArray, farthest_mm: float = 5.0) -
         (x, y, z) in mm, in the undeformed mesh or a little outside, where the nearest
         tetrahedron is extrapolated; see `workers.body.mesh.prolongation`.
     farthest_mm : float
-        Largest distance of a point beyond the range of that extrapolation.
+        Largest distance of a point outside the range of that extrapolation.
 
     Returns
     -------
@@ -31,11 +31,11 @@ def interpolation(mesh: TetMesh, points: FloatArray, farthest_mm: float = 5.0) -
     Raises
     ------
     InputError
-        If a point is farther outside, or not finite.
+        If a point is farther outside, or its coordinates are not finite.
     """
     points = np.asarray(points, np.float64)
     if not np.isfinite(points).all():
-        raise InputError("Points in a mesh must have finite coordinates, in mm.")
+        raise InputError("The coordinates of points in a mesh must be finite numbers, in mm.")
     matrix = prolongation(mesh, _NO_WALL, points, _NO_WALL)
     miss = np.linalg.norm(matrix @ mesh.nodes - points, axis=1)
     if miss.max(initial=0.0) > farthest_mm:

@@ -18,12 +18,12 @@ from palpate.workers.comparison.observation.signed_distance import SignedDistanc
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """Interfaces of one deformed state.
+    """The interfaces observed in one deformed state.
 
     Parameters
     ----------
     distances : tuple of SignedDistance
-        In the order of the interfaces of the points.
+        Signed distances, in the order of the interfaces of the points.
     """
 
     distances: tuple[SignedDistance, ...]
@@ -59,7 +59,7 @@ def observe(
 def residual(
     points_mm: FloatArray, points: InterfacePoints, observed: Observed
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the signed distance of moved points to their observed interfaces.
+    """Return the signed distances of moved points to their observed interfaces.
 
     Parameters
     ----------
@@ -72,19 +72,19 @@ def residual(
     Returns
     -------
     r : ndarray, shape (k,)
-        In mm; positive if the moved point is outside the observed tissue.
+        Signed distances in mm; positive if the moved point is outside the observed tissue.
     normals : ndarray, shape (k, 3)
-        Derivative of r: ``dr = normals . dx``. Close to the interface, approximately the unit
-        normal out of the observed tissue.
+        Derivative of r: ``dr = normals . dx``. Close to the interface, it is approximately the unit
+        normal pointing out of the observed tissue.
 
     Raises
     ------
     InputError
-        If the moved points do not match the points, or an interface was not observed.
+        If the moved points do not match the reference points, or an interface was not observed.
     """
     if np.shape(points_mm) != points.points.shape:
         raise InputError(
-            f"Expected positions of {len(points)} points, got shape {np.shape(points_mm)}."
+            f"Expected the positions of {len(points)} points, got shape {np.shape(points_mm)}."
         )
     checked_interfaces(points.interface, len(observed.distances))
     r = np.empty(len(points))

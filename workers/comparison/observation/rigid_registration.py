@@ -1,4 +1,4 @@
-"""Rigid registration of the cameras' frame to the body's frame.
+"""Rigid registration of the camera frame to the body frame.
 
 The rotation comes from the rigid motion that best fits the markers at rest (W. Kabsch, Acta
 Cryst. A 32 (1976) 922; B. K. P. Horn, J. Opt. Soc. Am. A 4 (1987) 629).
@@ -11,23 +11,23 @@ from palpate.storage.values import FloatArray
 
 
 def rotation_to(body_mm: FloatArray, seen_mm: FloatArray) -> FloatArray:
-    """Return the rotation R from the cameras' frame to the body's frame, shape (3, 3).
+    """Return the rotation R from the camera frame to the body frame, shape (3, 3).
 
     Parameters
     ----------
     body_mm, seen_mm : ndarray, shape (k, 3)
-        Positions of the same markers at rest, in the frames of the body and of the cameras.
+        Positions of the same markers at rest, in the body frame and in the camera frame.
 
     Raises
     ------
     InputError
-        If there are fewer than three markers, or all are on a line.
+        If there are fewer than three markers, or all are on one line.
     """
     a, b = body_mm - body_mm.mean(axis=0), seen_mm - seen_mm.mean(axis=0)
     spread = np.linalg.svd(a, compute_uv=False)
     if len(a) < 3 or spread[1] < 1e-3 * spread[0]:
         raise InputError(
-            f"A frame needs at least three markers that are not on a line, found {len(a)}."
+            f"Registration needs at least three markers that are not on one line, found {len(a)}."
         )
     U, _, Vt = np.linalg.svd(a.T @ b)
     turn = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])

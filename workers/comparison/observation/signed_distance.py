@@ -19,7 +19,7 @@ class SignedDistance:
     Parameters
     ----------
     values : ndarray of float32, shape (nz, ny, nx)
-        In mm, negative inside the tissue.
+        Distances in mm, negative inside the tissue.
     spacing_mm, origin_mm : tuple of float
         As in `storage.values.Volume`.
     interface_mm2 : float
@@ -37,14 +37,14 @@ class SignedDistance:
         Parameters
         ----------
         points : ndarray, shape (k, 3)
-            (x, y, z) in mm. Outside the lattice the distance to its box is added.
+            (x, y, z) in mm. Outside the lattice, the distance to its box is added.
 
         Returns
         -------
         distance : ndarray, shape (k,)
-            In mm; continuous in the points, and smooth except at the faces of the box.
+            Distances in mm; continuous in the points, and smooth except at the faces of the box.
         gradient : ndarray, shape (k, 3)
-            Its derivative: approximately the unit normal close to the interface.
+            Derivative of the distance; approximately the unit normal close to the interface.
 
         Raises
         ------
@@ -80,9 +80,9 @@ def signed_distance(
     inside : tuple of Tissue
         The enclosed tissues.
     smooth_voxels : float
-        Blur of the indicator, see `workers.comparison.observation.isosurface.surface`.
+        Blur of the indicator; see `workers.comparison.observation.isosurface.surface`.
     band_mm : float
-        Distances are cut off here; > 0.
+        Largest distance, at which values are clipped; > 0.
 
     Returns
     -------
@@ -95,7 +95,7 @@ def signed_distance(
         If the tissue has no interface in the volume or the band is not positive.
     """
     if not band_mm > 0:
-        raise InputError(f"The band of distances must be > 0 mm, found {band_mm}.")
+        raise InputError(f"band_mm must be > 0, found {band_mm}.")
     return distance_to(surface(labels, inside, smooth_voxels), labels, band_mm)
 
 
@@ -105,11 +105,11 @@ def distance_to(interface: Surface, labels: Volume, band_mm: float) -> SignedDis
     Parameters
     ----------
     interface : Surface
-        Interface of a tissue of the labels.
+        Interface of a tissue in the labels.
     labels : Volume
         Lattice of the result.
     band_mm : float
-        Distances are cut off here; > 0.
+        Largest distance, at which values are clipped; > 0.
     """
     step = np.asarray(labels.spacing_mm)
     vertices = interface.vertices - np.asarray(labels.origin_mm)

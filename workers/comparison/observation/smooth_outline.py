@@ -1,8 +1,8 @@
 """Smoothing of a body's outline, to remove the roughness of its segmentation.
 
-A mesh of a rough outline touches a plate on its highest bumps, and its surface is
-larger than the body's: both resemble causes of a gap. Detail finer than the correlation length of
-the noise is indistinguishable from noise, so it is removed.
+A mesh with a rough outline touches a plate at its highest bumps, and its surface is larger than the
+body's; both resemble causes of a gap. Detail finer than the correlation length of the noise is
+indistinguishable from noise, so it is removed.
 """
 
 from dataclasses import replace
@@ -18,12 +18,12 @@ FARTHEST = 3.0  # reach of a Gaussian in standard deviations
 
 
 def smooth_outline(labels: Volume, length_mm: float) -> Volume:
-    """Smooth the outline of a body over a length; tissues inside stay unchanged.
+    """Smooth the outline of a body over a length, leaving the tissues inside unchanged.
 
-    The indicator of the body is blurred by ``2 g_s - g_2s``, g_s a Gaussian of standard
+    The indicator of the body is blurred by ``2 g_s - g_2s``, where g_s is a Gaussian of standard
     deviation s, which keeps curved surfaces in place; see
-    `workers.comparison.observation.isosurface`. Voxels added to the body are fat. The face at the
-    chest wall, the lowest slice, stays flat.
+    `workers.comparison.observation.isosurface`. Voxels added to the body become fat. The face at
+    the chest wall, the lowest slice, stays flat.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def smooth_outline(labels: Volume, length_mm: float) -> Volume:
         If the length is not positive.
     """
     if not length_mm > 0:
-        raise InputError(f"An outline is smoothed over a length > 0 mm, found {length_mm:g}.")
+        raise InputError(f"The smoothing length of an outline must be > 0 mm, found {length_mm:g}.")
     dx, dy, dz = labels.spacing_mm
     sigma = [length_mm / dz, length_mm / dy, length_mm / dx]
     margin = int(np.ceil(1.5 * max(sigma)))

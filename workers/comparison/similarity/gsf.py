@@ -11,14 +11,14 @@ def gsf(jc: float, mhd_voxels: float) -> float:
     jc : float
         Jaccard coefficient, 0 to 1.
     mhd_voxels : float
-        Modified Hausdorff distance in voxels, >= 0 or inf. Another unit would
-        only add a constant.
+        Modified Hausdorff distance in voxels, >= 0 or inf. Another unit would only add a constant
+        to the function.
 
     Returns
     -------
     float
-        ``-inf`` if the product is zero: identical sets, or a solid compared with its own
-        layer of boundary voxels by boundary distances.
+        ``-inf`` if the product is zero: for identical sets, or for a solid compared, by boundary
+        distances, with its own layer of boundary voxels.
 
     Examples
     --------

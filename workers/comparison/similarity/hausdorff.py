@@ -11,7 +11,7 @@ from palpate.workers.comparison.similarity.nearest_voxel import (
 from palpate.workers.comparison.similarity.voxel_metric import Metric
 from palpate.workers.comparison.similarity.voxel_set import BOUNDARY, INTERIOR, Index, VoxelSet
 
-# Margin on each side of a distance map, relative to the size it needs.
+# Margin on each side of a distance map, relative to the required size.
 MARGIN = 0.05
 
 
@@ -21,20 +21,19 @@ class ModifiedHausdorff:
     .. math:: \max\Big(\frac{1}{|X|}\sum_{x \in X} d(x, Y),
                        \frac{1}{|Y|}\sum_{y \in Y} d(y, X)\Big)
 
-    The distances of one direction are found by searching around each voxel, which
-    is cheap for a good candidate, or read from an exact distance map. Both
-    give the same whole numbers in the same order, hence the same result to the
-    last bit. The map of the target is made when a candidate first needs it, and
-    kept; it grows when a candidate leaves its box.
+    The distances in one direction are found by searching around each voxel, which is cheap for a
+    good candidate, or read from an exact distance map. Both give the same whole numbers in the same
+    order, and hence the same result to the last bit. The map of the target is computed when a
+    candidate first needs it, then kept; it grows when a candidate extends beyond its box.
 
     Parameters
     ----------
     target : VoxelSet
-        Not empty.
+        The target, which must not be empty.
     metric : Metric
     boundary : bool
-        Measure from boundary voxels to boundary voxels; otherwise from all voxels
-        to the set.
+        Whether to measure from boundary voxels to boundary voxels, rather than from all voxels to
+        the set.
 
     References
     ----------
@@ -80,7 +79,7 @@ class ModifiedHausdorff:
 
 
 def _union_box(a: VoxelSet, b: VoxelSet, margin: float) -> tuple[Index, Index]:
-    """Return the half-open box around two sets, with a margin relative to its size."""
+    """Return the half-open bounding box of two sets, with a margin relative to its size."""
     start, stop = [], []
     for a0, b0, a1, b1 in zip(a.start, b.start, a.stop, b.stop, strict=True):
         low, high = min(a0, b0), max(a1, b1)

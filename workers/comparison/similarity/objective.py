@@ -1,6 +1,6 @@
 """The objective of a search: GSF, or another score by name.
 
-A distribution offers an `Objective` as an entry point of the group ``palpate.scores``; a study
+A distribution provides an `Objective` as an entry point in the group ``palpate.scores``; a study
 selects it with ``score.objective``.
 """
 
@@ -12,7 +12,7 @@ from typing import Any, Literal
 from palpate.workers.plugins import load
 from palpate.workers.spec import DEFAULT_OBJECTIVE
 
-# Candidates whose (1 - JC) MHD is at most a tenth above the best are equally good.
+# Candidates whose (1 - JC) MHD is at most a tenth above the best count as equally good.
 EQUALLY_GOOD_GSF = math.log(1.1)
 MINIMISED = "objective"
 
@@ -26,19 +26,19 @@ class Objective:
     Parameters
     ----------
     name : str
-        Its key in a score, and the value of ``score.objective`` in a study file.
+        Key of the objective in a score, and the value of ``score.objective`` in a study file.
     label : str
-        Name for readers, such as ``GSF``.
+        Displayed name, such as ``GSF``.
     direction : {"lower", "higher"}
         Whether lower or higher values are better.
     unit : str
-        Unit of its values; empty for a plain number.
+        Unit of the values; empty for a plain number.
     measure : callable, optional
-        Maps the target to a function that returns the score of a candidate's deformed body.
-        Bodies are those of the organ, such as a `Volume` of labels. Without it, the organ's own
+        Maps the target to a function that returns the score of a candidate's deformed body. Bodies
+        are those of the organ, such as a `Volume` of labels. Without this function, the organ's own
         score must have a value of that name.
     equally_good : float
-        Candidates whose minimised value is at most this far above the best count as equal to it.
+        Candidates whose minimised value is at most this far above the best count as equally good.
     """
 
     name: str
@@ -82,7 +82,7 @@ class Objective:
         return {**scores, self.name: value, MINIMISED: self.minimised(value)}
 
     def text(self, scores: Mapping[str, float], digits: int = 5) -> str:
-        """Return the score for a reader: ``GSF -2.1034``."""
+        """Format a score for display, such as ``GSF -2.1034``."""
         value = scores.get(self.name)
         shown = "-" if value is None else f"{value:.{digits}g}"
         return f"{self.label} {shown} {self.unit}".rstrip()
@@ -99,7 +99,7 @@ def objective_named(name: str) -> Objective:
     Raises
     ------
     InputError
-        If the name is unknown; close names are suggested.
+        If the name is unknown; similar names are suggested.
     """
     found: Objective = load("scores", name)
     return found

@@ -1,4 +1,4 @@
-"""Similarity scores of a candidate and the target, as defined in the thesis."""
+"""Similarity scores between a candidate and the target, as defined in the thesis."""
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
@@ -24,12 +24,12 @@ class Score:
     Parameters
     ----------
     jc, dice : float
-        Jaccard and Dice coefficient, 1 for identical sets.
+        Jaccard and Dice coefficients, 1 for identical sets.
     mhd_mm : float
         Modified Hausdorff distance; inf for an empty candidate.
     mhd_voxels : float
-        `mhd_mm` divided by the geometric mean of the three spacings, which is
-        the distance in voxels for cubic voxels.
+        `mhd_mm` divided by the geometric mean of the three spacings; for cubic voxels, the distance
+        in voxels.
     gsf : float
         ``ln((1 - jc) mhd_voxels)``: -inf for identical sets, +inf for an empty
         candidate.
@@ -49,19 +49,18 @@ class Score:
 class Scorer:
     """Scoring of candidates against one target.
 
-    Caches data between candidates; not to be shared between threads.
+    Data are cached between candidates, so a scorer must not be shared between threads.
 
     Parameters
     ----------
     target : Volume
-        Labels.
+        Labels of the target.
     labels : iterable of Tissue
-        The voxels of all these labels form the compared set.
+        The voxels with any of these labels form the compared set.
     surface : {"boundary", "all"}
-        Voxels over which the modified Hausdorff distance runs. "boundary", from
-        boundary voxels (those with a face neighbour outside the set) to boundary
-        voxels, is implied by the numbers of the thesis; "all", from every voxel
-        to the set, follows its Eq. 3.25.
+        Voxels between which the modified Hausdorff distance is measured. "boundary", from boundary
+        voxels (those with a face neighbour outside the set) to boundary voxels, is implied by the
+        numbers in the thesis; "all", from every voxel to the set, follows its Eq. 3.25.
 
     Raises
     ------
@@ -88,7 +87,7 @@ class Scorer:
         if self._target.count == 0:
             names = ", ".join(label.name.lower() for label in self._labels)
             raise InputError(
-                f"The target has no {names} voxel to compare with; it has the labels "
+                f"The target has no {names} voxel to compare with; its labels are "
                 f"{np.unique(target.values)[:20].tolist()}. Check the labels of the target and "
                 "of the score."
             )
@@ -102,7 +101,7 @@ class Scorer:
         Parameters
         ----------
         candidate : Volume
-            On the lattice of the target; its box may differ. Outside a box there is air.
+            Labels on the lattice of the target; the box may differ. Outside a box there is air.
 
         Returns
         -------

@@ -1,7 +1,7 @@
 """Squared distances between voxels as whole numbers.
 
-Whole numbers add without rounding, so every way of finding a nearest voxel gives
-the same squared distance, bit for bit, and may be chosen for its speed alone.
+Whole numbers add without rounding, so every method of finding a nearest voxel gives the same
+squared distance, bit for bit, and can be chosen for speed alone.
 """
 
 import math
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from palpate.storage.values import Triple
 
-# A spacing ratio such as 0.2 : 0.5 is met exactly by small whole weights.
+# Small whole weights represent a spacing ratio such as 0.2 : 0.5 exactly.
 MAX_SMALL_UNIT = 1000
 SMALL_UNIT_TOLERANCE = 1e-10
-# Any other is rounded to 2**-24 of the finest; images up to 2**13 voxels stay within 62 bits.
+# Any other is rounded to 2**-24 of the finest; images of up to 2**13 voxels fit in 62 bits.
 FINE_BITS = 24
 SIZE_BITS = 13
 
@@ -30,7 +30,7 @@ class Metric:
     weights : tuple of int
         (wz, wy, wx); the smallest is the square of the finest spacing.
     unit_mm : float
-        Millimetres per unit of distance, the root of a squared distance 1.
+        Millimetres per unit of distance, the root of a squared distance of 1.
     """
 
     weights: tuple[int, int, int]
@@ -55,14 +55,14 @@ class Metric:
         return cls((wz, wy, wx), float(finest / np.sqrt(unit)))
 
     def ball(self, radius: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """List offsets to all voxels within `radius` of the finest spacing, nearest first.
+        """List offsets to all voxels within `radius` times the finest spacing, nearest first.
 
         Returns
         -------
         ndarray of int64, shape (k, 3)
             Offsets (dz, dy, dx), without (0, 0, 0).
         ndarray of int64, shape (k,)
-            Their squared distances, ascending.
+            Squared lengths of the offsets, ascending.
         """
         return _nearest_first(self.weights, radius**2 * min(self.weights))
 
@@ -77,7 +77,7 @@ class Metric:
 def _nearest_first(
     weights: tuple[int, ...], limit: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """List all nonzero offsets of a squared length up to a limit, and their squared lengths."""
+    """List all nonzero offsets with a squared length up to a limit, and their squared lengths."""
     reach = [np.arange(-k, k + 1) for k in (math.isqrt(limit // w) for w in weights)]
     offsets = np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, len(weights))
     squares = offsets.astype(np.int64) ** 2 @ np.array(weights, dtype=np.int64)

@@ -1,1 +1,1 @@
-"""Deformed images from displacements."""
+"""Images deformed by displacements."""

@@ -15,18 +15,18 @@ MAX_VOXELS = 2**32
 
 @dataclass(frozen=True, eq=False)
 class DeformedMesh:
-    """A deformed mesh in the coordinates of its bounding box of voxels.
+    """A deformed mesh in the coordinates of its voxel bounding box.
 
     Parameters
     ----------
     fixed : ndarray of int64, shape (n, 3)
-        Positions (x, y, z) from the first voxel of the box, in steps of ``2**-bits`` voxels.
+        Positions (x, y, z) relative to the first voxel of the box, in steps of ``2**-bits`` voxels.
     bits : int
     nodes : ndarray, shape (n, 3)
-        The same in voxels, not snapped.
+        The same positions in voxels, not snapped.
     tets : ndarray of int32, shape (m, 4)
     runs : ndarray of int32, shape (k, 4)
-        Buffer for the runs of one tetrahedron, see `workers.comparison.warp.rasterisation`.
+        Buffer for the runs of one tetrahedron; see `workers.comparison.warp.rasterisation`.
     shape : tuple of int
         Shape of the box, (nz, ny, nx).
     spacing_mm, origin_mm : tuple of float
@@ -43,7 +43,7 @@ class DeformedMesh:
     origin_mm: Triple
 
     def volume(self, values: NDArray[Any], undeformed: Volume) -> Volume:
-        """Return a volume over the box, shape (nz, ny, nx), in the frame of the undeformed body."""
+        """Return values of shape (nz, ny, nx) as a volume, in the frame of the undeformed body."""
         spacing, origin = self.spacing_mm, self.origin_mm
         return replace(undeformed, values=values, spacing_mm=spacing, origin_mm=origin)
 
@@ -54,7 +54,7 @@ def index_coordinates(points_mm: FloatArray, lattice: Volume) -> FloatArray:
 
 
 def place_on_lattice(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume) -> DeformedMesh:
-    """Deform a mesh and find its bounding box of voxels on a lattice.
+    """Deform a mesh and find its bounding box on a voxel lattice.
 
     Parameters
     ----------
@@ -67,22 +67,22 @@ def place_on_lattice(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume
     Raises
     ------
     InputError
-        If the displacement does not fit the mesh, is not finite, or spreads the
-        body over an absurd number of voxels.
+        If the displacement does not fit the mesh, is not finite, or spreads the body over an
+        implausible number of voxels.
     """
     displacement = np.asarray(displacement_mm, dtype=np.float64)
     if displacement.shape != mesh.nodes.shape:
         raise InputError(
-            f"The displacement has shape {displacement.shape}, the mesh has nodes "
-            f"{mesh.nodes.shape}. Use the displacement of this mesh."
+            f"The displacement has shape {displacement.shape}, but the nodes of the mesh have "
+            f"shape {mesh.nodes.shape}. Use a displacement of this mesh."
         )
     if not np.isfinite(displacement).all():
         raise InputError(
-            "The displacement has values that are not finite. Deform only with the result of a "
-            "simulation that converged."
+            "The displacement has values that are not finite. Use the result of a simulation that "
+            "converged."
         )
     if mesh.tets.size == 0:
-        raise InputError("The mesh has no elements, so there is nothing to deform.")
+        raise InputError("The mesh has no elements to deform.")
     tets = np.ascontiguousarray(mesh.tets, dtype=np.int32)
     deformed = index_coordinates(mesh.nodes + displacement, lattice)
     used = np.unique(tets)
@@ -95,8 +95,8 @@ def place_on_lattice(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume
             "simulation converged, or use larger voxels."
         )
     fixed, bits = fixed_point(deformed - base, tets)
-    # The box follows from the snapped corners, so that no run can leave it. A body
-    # thinner than a voxel may contain no centre: the box has at least one voxel.
+    # The box is computed from the snapped corners, so that no run can leave it. A body thinner than
+    # a voxel may contain no voxel centre, so the box has at least one voxel.
     first = -(-fixed[used].min(axis=0) >> bits)
     end = np.maximum(-(-fixed[used].max(axis=0) >> bits), first + 1)
     fixed -= first << bits

@@ -1,4 +1,4 @@
-"""Displacement of the tissue in each voxel of a deformed image."""
+"""Displacement of the tissue at each voxel of a deformed image."""
 
 import numpy as np
 
@@ -9,13 +9,13 @@ from palpate.workers.comparison.warp.warp_volume import warp_grey
 def displacement_image(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume) -> Volume:
     """Return the magnitude of the displacement on the lattice of a deformed body.
 
-    The position before deformation is a linear image over the box of the mesh, whose eight
-    corners define it exactly; it is deformed like a grey image.
+    The position before deformation is a linear image over the box of the mesh, defined exactly by
+    its eight corners; it is deformed like a grey-value image.
 
     Parameters
     ----------
     mesh : TetMesh
-        Mesh at rest, n nodes.
+        Mesh at rest, with n nodes.
     displacement_mm : ndarray, shape (n, 3)
     lattice : Volume
         See `warp_labels`.
@@ -23,7 +23,7 @@ def displacement_image(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volu
     Returns
     -------
     Volume of float32
-        In mm; nan outside the elements.
+        Displacement in mm; nan outside the elements.
     """
     low, high = mesh.nodes.min(axis=0), mesh.nodes.max(axis=0)
     span = np.maximum(high - low, 1e-6)

@@ -4,7 +4,7 @@
 
     bend_bar        one of nine loads   > the displacement
     compare_bars    all of them         > 28 coefficients of eight wrong deformations
-    turn_cylinder   nothing             > JC, DC, MHD and GSF over the angle
+    turn_cylinder   nothing             > JC, DC, MHD and GSF against the angle
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from palpate.workers.thesis.cylinder import CylinderRow, cylinder_experiment
 
 @dataclass(frozen=True)
 class Bend(Request):
-    """Request to bend the bar; number 0 is the gold deformation."""
+    """Request to bend the bar; number 0 is the gold standard."""
 
     MODULE: ClassVar[str] = __name__
 
@@ -37,7 +37,7 @@ class Bend(Request):
 
 @dataclass(frozen=True)
 class Compare(Request):
-    """Request to compare all bars, already bent, with the gold one."""
+    """Request to compare all bars, already bent, with the gold standard."""
 
     MODULE: ClassVar[str] = __name__
 
@@ -83,12 +83,12 @@ def bend_bar(request: Bend) -> Spent:
 
 
 def compare_bars(request: Compare) -> Spent:
-    """Compare the wrong deformations with the gold one.
+    """Compare the wrong deformations with the gold standard.
 
     Raises
     ------
     InputError
-        If the gold deformation did not converge.
+        If the gold standard did not converge.
     """
     if not request.part.is_finished:
         watch = Watch()
@@ -99,7 +99,7 @@ def compare_bars(request: Compare) -> Spent:
 
 
 def turn_cylinder(request: Turn) -> Spent:
-    """Compare the cylinder with itself over the angles of the thesis."""
+    """Compare the cylinder with itself, rotated by each of the thesis' angles."""
     if not request.part.is_finished:
         watch = Watch()
         rows = cylinder_experiment(request.scale)

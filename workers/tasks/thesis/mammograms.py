@@ -24,7 +24,7 @@ class Expose(Request):
 
 @dataclass(frozen=True, slots=True)
 class ExposedPhantom:
-    """Two mammograms; stored with pictures and DICOM files as bytes.
+    """Result of taking two mammograms; stored with pictures and DICOM files as bytes.
 
     Parameters
     ----------

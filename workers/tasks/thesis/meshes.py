@@ -4,7 +4,7 @@
 
     measure_mesh      a phantom, a kind of mesh        > quality, agreement with the voxels
     press_phantom     these, a view and a material     > the deformed voxels
-    compare_pressed   two pressed phantoms             > compartments, one by one
+    compare_pressed   two pressed phantoms             > agreement of each compartment
 """
 
 from dataclasses import dataclass, field
@@ -76,7 +76,7 @@ class ComparePressed(Request):
 
 @dataclass(frozen=True, slots=True)
 class MeasuredMesh:
-    """Mesh of a phantom; stored with the glandular and other polygons of a coronal slice."""
+    """Result of meshing a phantom; stored with glandular and other polygons of a coronal slice."""
 
     spent: Spent
     row: QualityRow
@@ -84,7 +84,7 @@ class MeasuredMesh:
 
 @dataclass(frozen=True, slots=True)
 class PressedPhantom:
-    """Compression; stored with the voxels of compartments and tissues if it converged."""
+    """Result of a compression; stored with voxels of compartments and tissues if it converged."""
 
     spent: Spent
     outcome: Outcome
@@ -96,7 +96,7 @@ class PressedPhantom:
 
 @dataclass(frozen=True, slots=True)
 class ComparedMeshes:
-    """Both meshes of a phantom compared."""
+    """Result of comparing both meshes of a phantom."""
 
     spent: Spent
     row: CompressionRow
@@ -121,7 +121,7 @@ def measure_mesh(request: Measure) -> Spent:
 
 
 def coronal_section(request: Measure) -> tuple[FloatArray, BoolArray]:
-    """Return the measured slice of a mesh: polygons (m, 4, 2), and a mask of the glandular ones."""
+    """Return a slice of a measured mesh: polygons (m, 4, 2), and a mask of the glandular ones."""
     _, arrays = request.part.load(MeasuredMesh)
     return np.asarray(arrays["polygons"], np.float64), np.asarray(arrays["glandular"], bool)
 

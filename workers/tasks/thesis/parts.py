@@ -25,7 +25,7 @@ class Spent:
         Wall-clock seconds, and processor seconds of this process, which are fewer on a busy
         machine.
     machine : str
-        Machine that ran it.
+        Machine that computed the part.
     """
 
     wall_s: float
@@ -35,7 +35,7 @@ class Spent:
 
 @dataclass(frozen=True, slots=True)
 class Timed:
-    """The first field of every record, enough for progress and estimates."""
+    """The first field of every record, sufficient for progress reports and estimates."""
 
     spent: Spent
 
@@ -59,7 +59,7 @@ class Request:
 
     @property
     def part(self) -> Part:
-        """Part with the result."""
+        """Part that holds the result."""
         which = [type(self).__name__, *astuple(self)[1:]]
         return Part(TaskStore(self.store), digest("thesis", which, code_version(self.MODULE)))
 
@@ -70,17 +70,17 @@ class Request:
 
     @property
     def label(self) -> str:
-        """Description for a reader."""
+        """Description for users."""
         return ", ".join(str(v) for v in (type(self).__name__.lower(), *astuple(self)[2:]))
 
     @property
     def spent(self) -> Spent:
-        """Cost of the finished part."""
+        """Cost of the part, once finished."""
         return self.part.record(Timed).spent
 
 
 class Watch:
-    """Stopwatch that starts when it is made.
+    """Stopwatch that starts when created.
 
     Examples
     --------
@@ -98,7 +98,7 @@ class Watch:
 
 
 def machine() -> str:
-    """Return the name of the processor, as far as known, and the number of its cores."""
+    """Return the name of the processor, if known, and the number of its cores."""
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.is_file() else []
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]

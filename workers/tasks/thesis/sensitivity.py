@@ -11,7 +11,7 @@ from palpate.workers.thesis.identification import TARGETS, TargetName, case_of
 
 @dataclass(frozen=True)
 class Vary(Request):
-    """Request to compare the target with the body deformed with one other value."""
+    """Request to compare the target with the body deformed after changing one constant."""
 
     MODULE: ClassVar[str] = __name__
 
@@ -37,7 +37,7 @@ class VariedConstant:
 
 
 def vary_constant(request: Vary) -> Spent:
-    """Simulate the target, and the same body with one constant changed; compare them."""
+    """Simulate the target and the same body with one constant changed, and compare them."""
     if not request.part.is_finished:
         watch = Watch()
         case = case_of(request.target, request.phantom, request.scale)

@@ -1,4 +1,4 @@
-"""The 28 coefficients against values calculated by hand and by brute force."""
+"""The 28 coefficients, compared with values calculated by hand and by brute force."""
 
 import math
 
@@ -27,7 +27,7 @@ def volume(
 
 
 def blobs(seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return two rough overlapping sets of different size."""
+    """Return two rough, overlapping sets of different sizes."""
     rng = np.random.default_rng(seed)
     z, y, x = np.mgrid[:14, :17, :19]
     near = (x - 8) ** 2 + (y - 8) ** 2 + (z - 7) ** 2 < 36 + 8 * rng.standard_normal(x.shape)
@@ -36,7 +36,7 @@ def blobs(seed: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 
 
 def rods() -> tuple[Volume, Volume]:
-    """A rod of 4 voxels and one of 2, all of them boundary voxels.
+    """Rods of 4 and 2 voxels, all of them boundary voxels.
 
     ::
 
@@ -48,9 +48,9 @@ def rods() -> tuple[Volume, Volume]:
     return volume(x), volume(y)
 
 
-def test_two_rods_calculated_by_hand() -> None:
+def test_two_rods_match_hand_calculation() -> None:
     found = coefficients(*rods()).by_name
-    # d(X, Y): percentiles 50, 75, 90 of (1 2 3 4) by rank are 2, 3, 4; of (1 2) 1, 2, 2.
+    # By rank, percentiles 50, 75 and 90 of (1 2 3 4) are 2, 3, 4; those of (1 2) are 1, 2, 2.
     both = {"D5": (2, 1), "D9": (3, 2), "D13": (4, 2), "D17": (4, 2), "D21": (2.5, 1.5)}
     for name, (a, b) in both.items():
         first = int(name[1:])
@@ -71,7 +71,7 @@ def test_there_are_28_names() -> None:
 @pytest.mark.parametrize("surface", ["boundary", "all"])
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 0.5, 2.0)])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_against_a_search_tree(
+def test_coefficients_match_a_search_tree(
     surface: str, spacing: tuple[float, float, float], seed: int
 ) -> None:
     a, b = blobs(seed)
@@ -103,7 +103,7 @@ def test_against_a_search_tree(
 
 
 @pytest.mark.parametrize("surface", ["boundary", "all"])
-def test_agrees_with_the_score_of_the_search(surface: str) -> None:
+def test_coefficients_agree_with_the_score_of_the_search(surface: str) -> None:
     a, b = (volume(mask, (0.2, 0.2, 0.2)) for mask in blobs(3))
     found = coefficients(a, b, GLAND, surface)  # type: ignore[arg-type]
     score = Scorer(b, GLAND, surface).score(a)  # type: ignore[arg-type]
@@ -124,7 +124,7 @@ def test_swapping_the_sets_reverses_directed_coefficients() -> None:
     assert (forth.mean_to_y_mm, forth.sd_to_y_mm) == (back.mean_to_x_mm, back.sd_to_x_mm)
 
 
-def test_identical_sets() -> None:
+def test_identical_sets_have_perfect_coefficients() -> None:
     a, _ = blobs(5)
     found = coefficients(volume(a), volume(a))
     names = found.by_name
@@ -137,7 +137,7 @@ def test_identical_sets() -> None:
     ("percent", "wanted"), [(0, 0.0), (50, 0.0), (60, 0.0), (61, 2.0), (80, 2.0), (100, 6.0)]
 )
 def test_percentiles_count_the_voxels_at_distance_zero(percent: int, wanted: float) -> None:
-    # Three voxels at 0, one at 1 and one at 3 units of 2 mm.
+    # Three voxels at distance 0, one at 1 and one at 3 units of 2 mm.
     distances = DirectedDistances(np.array([1, 9]), 5, 2.0)
     assert distances.percentile_mm(percent) == wanted
 

@@ -1,4 +1,4 @@
-"""Attenuation, readings and noise against published values and Poisson statistics."""
+"""Attenuation, readings and noise, compared with published values and Poisson statistics."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from palpate.workers.comparison.mammogram.spectrum import BEAMS, Spectrum, spect
 
 
 def far_geometry(rows: int = 40, columns: int = 50) -> Geometry:
-    """Return a detector so far and small that all pixels are alike."""
+    """Return a detector so distant and small that all pixels are equivalent."""
     return Geometry(
         np.array([0.0, 1000.0, 0.0]),
         np.zeros(3),
@@ -50,7 +50,7 @@ def test_attenuation_matches_the_literature(
     assert found == pytest.approx(per_cm, rel=within)
 
 
-def test_attenuation_orders_the_tissues_and_falls_with_energy() -> None:
+def test_denser_tissue_and_lower_energy_attenuate_more() -> None:
     energies = np.linspace(8.1, 27.9, 50)
     fat, gland, skin = (
         attenuation_per_mm(t, energies) for t in (Tissue.FAT, Tissue.GLANDULAR, Tissue.SKIN)
@@ -61,8 +61,8 @@ def test_attenuation_orders_the_tissues_and_falls_with_energy() -> None:
     assert not attenuation_per_mm(Tissue.AIR, energies).any()
 
 
-# Half-value layers computed by SpekPy for its own spectra, here by attenuation in aluminium:
-# NIST XCOM, mass attenuation in cm2/g.
+# Half-value layers computed by SpekPy for its own spectra; here from attenuation in aluminium: NIST
+# XCOM, mass attenuation in cm2/g.
 ALUMINIUM = np.array(
     [[8, 50.33], [10, 26.23], [15, 7.955], [20, 3.441], [30, 1.128]], dtype=np.float64
 )
@@ -85,7 +85,7 @@ def test_half_value_layer_halves_the_kerma(beam: str, hvl_mm: float) -> None:
     assert set(BEAMS) == {"mo_mo", "rh_rh", "w_rh"}
 
 
-def test_single_energy_follows_beers_law() -> None:
+def test_monoenergetic_beam_follows_beers_law() -> None:
     geometry, beam = far_geometry(), Spectrum(np.array([20.0]), np.array([1e9]))
     found = read_out(lengths({Tissue.FAT: 30.0, Tissue.SKIN: 3.0}, geometry), geometry, beam, mas=2)
     mu = {t: attenuation_per_mm(t, np.array([20.0]))[0] for t in (Tissue.FAT, Tissue.SKIN)}
@@ -95,8 +95,8 @@ def test_single_energy_follows_beers_law() -> None:
     np.testing.assert_allclose(found.open_kev, 20 * 2 * 1e9 * 1e-6, rtol=1e-6)
 
 
-def test_beam_hardens() -> None:
-    """Twice the tissue attenuates less than twice as much, unlike a single energy."""
+def test_polyenergetic_beam_hardens() -> None:
+    """Unlike with a single energy, twice the tissue attenuates less than twice as much."""
     geometry, beam = far_geometry(), spectrum_of("w_rh")
     once, twice = (
         read_out(lengths({Tissue.FAT: mm}, geometry), geometry, beam, mas=60).log_attenuation[0, 0]
@@ -108,7 +108,7 @@ def test_beam_hardens() -> None:
     assert 1.8 * once < twice < 1.99 * once
 
 
-def test_quantum_noise_has_the_variance_of_its_photons() -> None:
+def test_quantum_noise_has_poisson_variance() -> None:
     geometry = far_geometry(200, 200)
     beam = Spectrum(np.array([10.0, 20.0]), np.array([5e6, 2e7]))
     noise = Noise(seed=3, electronic_kev=0.0)
@@ -118,7 +118,7 @@ def test_quantum_noise_has_the_variance_of_its_photons() -> None:
     mean, variance = counts @ beam.energies_kev, counts @ beam.energies_kev**2
     assert found.energy_kev.mean() == pytest.approx(mean, abs=4 * np.sqrt(variance / pixels))
     assert found.energy_kev.var() == pytest.approx(variance, rel=4 * np.sqrt(2 / pixels))
-    # Photons are counted whole: every reading is a multiple of 10 keV.
+    # Photons are counted as whole numbers: every reading is a multiple of 10 keV.
     np.testing.assert_allclose(found.energy_kev % 10, 0)
 
 

@@ -1,4 +1,4 @@
-"""Path lengths of rays in voxel bodies against closed forms, and against sampling."""
+"""Path lengths of rays in voxel bodies, compared with closed forms and with sampling."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def body_of(inside: NDArray[np.bool_], voxel_mm: float, start: float) -> Volume:
 
 
 def ellipsoid(half_mm: tuple[float, float, float], voxel_mm: float) -> Volume:
-    """Return voxels whose centre is in an ellipsoid about the origin."""
+    """Return the voxels whose centres are in an ellipsoid about the origin."""
     n = 2 * int(np.ceil(max(half_mm) / voxel_mm) + 1)
     at = (np.arange(n) - (n - 1) / 2) * voxel_mm
     a, b, c = half_mm
@@ -42,7 +42,7 @@ def ellipsoid_chords(half_mm: tuple[float, float, float], geometry: Geometry) ->
 
 
 def box_chords(low: FloatArray, high: FloatArray, geometry: Geometry) -> FloatArray:
-    """Return the length between the planes of a box (slabs)."""
+    """Return the length between the faces of a box (slab method)."""
     ray = geometry.pixels_mm - geometry.source_mm
     with np.errstate(divide="ignore"):
         a, b = (low - geometry.source_mm) / ray, (high - geometry.source_mm) / ray
@@ -51,7 +51,7 @@ def box_chords(low: FloatArray, high: FloatArray, geometry: Geometry) -> FloatAr
 
 
 @pytest.mark.parametrize("axis", [CC_AXIS, mlo_axis(45.0), mlo_axis(-30.0)])
-def test_block_of_voxels_is_exact(axis: tuple[float, float, float]) -> None:
+def test_path_lengths_in_a_block_of_voxels_are_exact(axis: tuple[float, float, float]) -> None:
     spacing = (1.0, 0.7, 1.3)
     values = np.full((30, 40, 50), Tissue.FAT, np.uint8)
     values[:, 10:25, 5:20] = Tissue.GLANDULAR
@@ -69,7 +69,7 @@ def test_block_of_voxels_is_exact(axis: tuple[float, float, float]) -> None:
 
 @pytest.mark.parametrize("half", [(20.0, 20.0, 20.0), (30.0, 12.0, 20.0)])
 @pytest.mark.parametrize("axis", [CC_AXIS, mlo_axis()])
-def test_ellipsoids_converge(
+def test_path_lengths_in_ellipsoids_converge(
     half: tuple[float, float, float], axis: tuple[float, float, float]
 ) -> None:
     voxels = (2.0, 1.0, 0.5)
@@ -79,14 +79,14 @@ def test_ellipsoids_converge(
     for voxel in voxels:
         found = path_lengths_mm(ellipsoid(half, voxel), geometry)[..., Tissue.GLANDULAR]
         errors.append(float(np.abs(found - exact).mean()))
-        # The staircase is off by about a voxel per ray, without a bias.
+        # The staircase is off by about a voxel per ray, without bias.
         assert abs(float((found - exact).sum() / exact.sum())) < 0.02 * voxel
     order = np.polyfit(np.log(voxels), np.log(errors), 1)[0]
     assert order > 0.95
     assert errors[-1] < 0.5 * voxels[-1]
 
 
-def test_against_sampling_of_random_voxels() -> None:
+def test_path_lengths_match_sampling_of_random_voxels() -> None:
     rng = np.random.default_rng(5)
     body = Volume(rng.integers(0, 6, (9, 11, 13)).astype(np.uint8), (1.5, 1.0, 2.0), (-9, 2, 1))
     geometry = geometry_of(body, mlo_axis(20.0), Unit(120.0, 5.0, 3.0))
@@ -110,10 +110,10 @@ def test_shadow_is_magnified_and_ends_at_the_wall() -> None:
     unit = Unit(source_mm=600.0, gap_mm=100.0, pixel_mm=0.25)
     geometry = geometry_of(body, CC_AXIS, unit)
     shadow = path_lengths_mm(body, geometry)[..., Tissue.FAT] > 0
-    # Its top, at 110 mm above the detector, is magnified by 600 / 490.
+    # The top of the body, 110 mm above the detector, is magnified by 600 / 490.
     assert shadow.any(axis=1).sum() * 0.25 == pytest.approx(30 * 600 / 490, abs=0.5)
     assert shadow.any(axis=0).sum() * 0.25 == pytest.approx(20 * 600 / 490, abs=0.25)
-    # The focal spot is above the wall: the first column sees the whole height there.
+    # The focal spot is above the wall: the rays of the first column cross the whole height there.
     assert shadow[:, 0].any()
     assert geometry.pixels_mm[..., 2].min() == pytest.approx(0.125)
 

@@ -73,7 +73,7 @@ def test_dicom_file_round_trips(view: str, intent: str) -> None:
     assert [float(v) for v in read.ImagerPixelSpacing] == [1.0, 1.0]
     assert float(read.DistanceSourceToDetector) == 650.0
     # Required type 1 and 2 attributes of DX Detector, DX Image and Mammography Image;
-    # the whole file was checked once with dciodvfy, which finds no error.
+    # the whole file was checked once with dciodvfy, which found no error.
     for keyword in (
         "PositionerType", "BreastImplantPresent", "PartialView", "DetectorTemperature",
         "PixelIntensityRelationship", "RescaleSlope", "PresentationLUTShape", "PatientOrientation",

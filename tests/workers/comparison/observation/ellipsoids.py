@@ -7,7 +7,7 @@ from palpate.storage.values import Tissue, Volume
 
 
 def lattice(shape_xyz, spacing_mm):
-    """Return voxel centres about the middle of a box: z, y, x grids and the origin."""
+    """Return the voxel centres of a box about its middle: z, y, x grids and the origin."""
     axes = [(np.arange(n) - (n - 1) / 2) * h for n, h in zip(shape_xyz, spacing_mm, strict=True)]
     z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
     return x, y, z, tuple(float(axis[0]) for axis in axes)
@@ -26,7 +26,7 @@ def breast(
     spacing_mm=(0.5, 0.5, 0.5),
     shape=(104, 84, 72),
 ):
-    """Return fat with glandular ellipsoids (half axes, centre) in it, all moved by a shift."""
+    """Return fat that contains glandular ellipsoids (half axes, centre), all moved by a shift."""
     x, y, z, origin = lattice(shape, spacing_mm)
     shift = np.asarray(shift, float)
     values = np.where(inside((x, y, z), outer, shift), Tissue.FAT, Tissue.AIR).astype(np.uint8)
@@ -36,7 +36,7 @@ def breast(
 
 
 def normals(points, half_axes):
-    """Return unit normals of the level of the ellipsoid's function through the points."""
+    """Return unit normals, at the points, of the ellipsoid's level sets."""
     slope = points / np.square(half_axes)
     return slope / np.linalg.norm(slope, axis=1, keepdims=True)
 

@@ -1,8 +1,8 @@
 """Repeated segmentations with random errors.
 
-Every interface moves outwards by a Gaussian random field of its own: white noise on
-the voxels, blurred by a Gaussian of standard deviation ``l / sqrt 2``, whose
-correlation is ``exp(-h^2 / 2 l^2)``.
+Every interface moves outwards by its own Gaussian random field: white noise on the voxels, blurred
+by a Gaussian of standard deviation ``l / sqrt 2``, so that its correlation is ``exp(-h^2 / 2
+l^2)``.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ def perturbed(
         `Tissue` labels.
     noise : SegmentationNoise
         ``sd_mm`` and ``correlation_mm`` are used; the effect of the voxels on the interfaces
-        is present already.
+        is already present.
     seed : int
         Equal seeds give equal volumes.
     smooth_voxels : float
@@ -38,19 +38,19 @@ def perturbed(
     -------
     Volume
         ``uint8`` on the same grid. Tissue added to the outline, or removed from the glandular
-        tissue, gets the label of the nearest voxel of another tissue, fat if there
-        is none. The end of the body at the chest wall stays in place.
+        tissue, takes the label of the nearest voxel of another tissue, or fat if there is none. The
+        end of the body at the chest wall stays in place.
 
     Raises
     ------
     InputError
-        If the volume has no body, or one that fills it.
+        If the volume has no body, or the body fills it.
     """
     rng = np.random.default_rng(seed)
     body_voxels = np.flatnonzero((labels.values != Tissue.AIR).any(axis=(1, 2)))
     if not len(body_voxels):
-        raise InputError("The volume has no body, only air. Check the labels.")
-    # From the chest wall upwards; the body is cut off there, which is not an interface.
+        raise InputError("The volume contains only air. Check the labels.")
+    # From the chest wall upwards; the cut at the wall is not an interface.
     wall = int(body_voxels[0])
     x, y, z = labels.origin_mm
     above = Volume(labels.values[wall:], labels.spacing_mm, (x, y, z + wall * labels.spacing_mm[2]))

@@ -1,4 +1,4 @@
-"""Half-millimetre label volumes of ../shared/reference/gap-open, if available."""
+"""Half-millimetre label volumes in ../shared/reference/gap-open, if available."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def points(reference):
 
 
 @pytest.mark.slow
-def test_reference_against_itself(reference, points):
+def test_reference_has_no_residual_against_itself(reference, points):
     r, _ = residual(points.points, points, observe(reference, BOTH))
     assert abs(r.mean()) < 0.003 and r.std() < 0.015 and np.abs(r).max() < 0.25
     counts = np.bincount(points.interface)
@@ -42,7 +42,7 @@ def test_true_displacement_leaves_only_segmentation_noise(points):
     deformed = read_volume(CASES / "dev_0fb9b9" / "deformed_40N.nrrd")
     still, _ = residual(outline.points, outline, observe(deformed, (OUTLINE,)))
     r, _ = residual(outline.points + field(outline.points), outline, observe(deformed, (OUTLINE,)))
-    # Each of two scans errs by 0.3 mm, see its case; the body was compressed by 30 mm.
+    # Each of the two scans has errors of 0.3 mm (see its case); the body was compressed by 30 mm.
     assert abs(still).mean() > 3
     assert abs(r.mean()) < 0.06
     assert r.std() == pytest.approx(0.3 * np.sqrt(2), rel=0.1)

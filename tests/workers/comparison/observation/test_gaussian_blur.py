@@ -9,8 +9,8 @@ from palpate.workers.comparison.observation.gaussian_blur import PIECE, blurred,
 
 @pytest.mark.parametrize("sigma", [(1.5, 1.5, 1.5), (0.4, 3.0, 1.1), (6.0, 0.7, 8.0)])
 @pytest.mark.parametrize("shape", [(9, 7, 11), (1, 3, 40), (2, 70, PIECE // 30)])
-def test_equals_scipy(sigma, shape):
-    """Includes Gaussians wider than the volume, and lines cut into pieces."""
+def test_blur_equals_scipy(sigma, shape):
+    """The cases include Gaussians wider than the volume, and lines cut into pieces."""
     values = np.random.default_rng(1).random(shape).astype(np.float32)
     expected = ndimage.gaussian_filter(values.astype(float), sigma, mode="nearest", truncate=3.5)
     np.testing.assert_allclose(blurred(values, sigma, 3.5), expected, atol=2e-6)

@@ -1,4 +1,4 @@
-"""Points on interfaces, against ellipsoids."""
+"""Points on the interfaces of ellipsoids."""
 
 from dataclasses import fields
 
@@ -72,7 +72,7 @@ def test_no_points_near_the_wall_or_on_a_cut():
     assert clear.normals[:, 2].min() > 0.1
 
 
-def test_each_compartment_is_a_part_but_specks_are_not():
+def test_each_compartment_is_a_part_but_a_speck_is_not():
     labels = breast(glands=TWO)
     values = labels.values.copy()
     values[36, 20, 52] = values[60, 40:42, 50:52] = Tissue.GLANDULAR

@@ -1,4 +1,4 @@
-"""The noise model against volumes perturbed with it, and its algebra."""
+"""The algebra of the noise model, and comparison with volumes perturbed according to it."""
 
 import numpy as np
 import pytest
@@ -69,7 +69,7 @@ def test_noise_is_estimated_from_two_segmentations(labels):
     assert all(n.reference_sd_mm == n.sd_mm for n in noise)
 
 
-def test_estimates_another_correlation_length(labels):
+def test_a_different_correlation_length_is_estimated(labels):
     noise = SegmentationNoise(0.2, 2.5, 0.2, 0.02)
     computed = from_repeat(
         perturbed(labels, noise, 1), perturbed(labels, noise, 2), wall_margin_mm=2.0
@@ -84,7 +84,7 @@ def test_common_offset_is_not_noise(labels):
     assert np.hypot(noise.sd_mm, noise.nugget_mm) < 0.07
 
 
-def test_states_share_the_reference(points):
+def test_states_share_the_reference_noise(points):
     k = len(points)
     matrix = covariance(points, NOISE, 3).reshape(3, k, 3, k)
     smooth = correlation(points, 4.0)
@@ -102,7 +102,7 @@ def test_covariance_is_positive_definite_for_dense_points(labels):
     np.linalg.cholesky(covariance(dense, noise, 2))
 
 
-def test_errors_of_the_sides_of_a_sheet_are_independent():
+def test_errors_on_the_two_sides_of_a_sheet_are_independent():
     values = np.zeros((40, 40, 40), np.uint8)
     values[18:22, 5:35, 5:35] = Tissue.GLANDULAR
     points = interface_points(Volume(values, (0.5,) * 3), (GLANDULAR,), 1.5, 0.0)
@@ -121,14 +121,14 @@ def test_perturbed_segmentation_is_consistent_and_repeatable(labels):
     np.testing.assert_array_equal(redrawn.values, perturbed(mixed, NOISE, 7).values)
     assert np.any(redrawn.values != perturbed(mixed, NOISE, 8).values)
     assert set(np.unique(redrawn.values)) == set(np.unique(values))
-    assert not (redrawn.values[:, 24:] == Tissue.SKIN).any()  # skin stays on its own side
+    assert not (redrawn.values[:, 24:] == Tissue.SKIN).any()  # skin stays on its side
     changed = np.mean(redrawn.values != values)
     assert 0.005 < changed < 0.05
     still = perturbed(mixed, SegmentationNoise(0.0, 4.0, 0.0, 0.01), 7)
     assert np.mean(still.values != values) < 0.1 * changed
 
 
-def test_end_at_the_wall_stays():
+def test_perturbation_keeps_the_cut_at_the_wall():
     whole = breast()
     values = np.zeros_like(whole.values)
     values[36:] = whole.values[36:]

@@ -1,4 +1,4 @@
-"""Interpolation at points, against the location in Qhull's triangulation."""
+"""Interpolation at points, compared with point location in Qhull's triangulation."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def mesh(cloud):
     return TetMesh(cloud.points, tets)
 
 
-def test_values_match_another_point_location(cloud, mesh):
+def test_values_match_qhull_point_location(cloud, mesh):
     points = np.random.default_rng(5).uniform(-12, 12, (500, 3))
     values = np.sin(mesh.nodes / 5)
     simplex = cloud.find_simplex(points)

@@ -1,4 +1,4 @@
-"""Signed distances against spheres, slabs and every triangle of a surface."""
+"""Signed distances, compared with spheres, slabs and every triangle of a surface."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_spheres_are_located_within_a_voxel(radius):
     error = (signed_distance(labels, FAT).values - exact)[np.abs(exact) < 5]
     assert abs(error.mean()) < 0.02
     assert np.abs(error).mean() < 0.05
-    # Where the sphere is parallel to the grid, labels do not locate it within a voxel.
+    # Labels do not locate the sphere within a voxel where it is parallel to the grid.
     assert np.quantile(np.abs(error), 0.99) < 0.25
     assert np.abs(error).max() < 0.5
 
@@ -42,7 +42,7 @@ def test_plain_gaussian_shrinks_spheres():
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.4, 0.7, 1.1)])
-def test_slab_is_exact(spacing):
+def test_distance_to_a_slab_is_exact(spacing):
     values = np.zeros((30, 28, 26), np.uint8)
     values[:, 8:20] = Tissue.FAT  # open towards the faces of the box along x and z
     distance_field = signed_distance(Volume(values, spacing, (3.0, -2.0, 5.0)), FAT)
@@ -73,7 +73,7 @@ def test_distances_match_brute_force_over_triangles():
     step = np.asarray(labels.spacing_mm)
     vertices = drawn.vertices - np.asarray(labels.origin_mm)
     distance = distances(vertices, drawn.triangles, labels.values.shape, step, 100.0)
-    # A fan of points on each triangle; between them the distance is at most h^2 / 8d less.
+    # A fan of points on each triangle; between them, the distance is at most h^2 / 8d smaller.
     u, v = (w.ravel() for w in np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 9)))
     weight = np.column_stack([u, v, 1 - u - v])[u + v <= 1 + 1e-9]
     cloud = np.einsum("wc,tcx->twx", weight, vertices[drawn.triangles]).reshape(-1, 3)
@@ -133,7 +133,7 @@ def test_cubic_convolution_is_exact_for_quadratics():
     np.testing.assert_allclose(gradient, exact, atol=1e-3)
 
 
-def test_refuses_what_cannot_be_measured():
+def test_refuses_tissue_without_an_interface():
     labels = breast()
     with pytest.raises(InputError, match="no voxel of muscle"):
         signed_distance(labels, (Tissue.MUSCLE,))

@@ -1,4 +1,4 @@
-"""A rough body becomes smooth and keeps its size."""
+"""Smoothing of a rough outline, which preserves the size of the body."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def error_mm(labels: Volume) -> np.ndarray:
     return signed_distance(labels, OUTLINE.inside).at(points)[0]
 
 
-def test_smooth_body_is_unchanged() -> None:
+def test_smooth_outline_is_unchanged() -> None:
     before, after = half_ellipsoid(), smooth_outline(half_ellipsoid(), 4.0)
     assert abs(error_mm(after).mean()) < 0.08
     ratio = np.count_nonzero(after.values) / np.count_nonzero(before.values)
@@ -57,10 +57,10 @@ def test_roughness_is_removed() -> None:
 def test_wave_is_damped_like_the_difference_of_gaussians(axis) -> None:
     r"""A top face z = h + a sin(k s) along one axis s, k = 2 pi / w, on voxels of three lengths.
 
-    A low wave moves the level by its filtered height: near a plane g_s has the density
-    1 / s and g_2s half of it, so ``2 g_s - g_2s`` leaves the fraction
-    ``(4 exp(-k^2 s^2 / 2) - exp(-2 k^2 s^2)) / 3`` of the height, in place. A slope
-    across the wave spreads the heights over the fractions of a voxel.
+    A low wave moves the level by its filtered height: near a plane, g_s has the density 1 / s and
+    g_2s half of it, so ``2 g_s - g_2s`` leaves the fraction ``(4 exp(-k^2 s^2 / 2) - exp(-2 k^2
+    s^2)) / 3`` of the height, in phase. A slope across the wave spreads the heights over fractions
+    of a voxel.
     """
     spacing, length, height, wave = (0.5, 1.0, 0.4), 2.5, 0.6, 10.0
     k = 2 * np.pi / wave

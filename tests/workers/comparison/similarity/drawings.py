@@ -7,7 +7,7 @@ from palpate.storage.values import Tissue, Volume
 
 
 def draw(text: str, spacing_mm=(1.0, 1.0, 1.0)) -> Volume:
-    """Parse rows of y, characters of x, planes of z separated by ``-``; ``#`` is glandular."""
+    """Parse characters along x, rows along y and planes separated by ``-``; ``#`` is glandular."""
     planes = [plane.split() for plane in text.split("-")]
     values = np.array([[[c == "#" for c in row] for row in plane] for plane in planes])
     return of_mask(values, spacing_mm)
@@ -20,7 +20,7 @@ def of_mask(mask, spacing_mm=(1.0, 1.0, 1.0), origin_mm=(0.0, 0.0, 0.0)) -> Volu
 
 
 def mhd_by_distance_transforms(x, y, spacing_mm, surface: str) -> float:
-    """Return the modified Hausdorff distance of two masks in one box, by scipy."""
+    """Return the modified Hausdorff distance of two masks in one box, computed by scipy."""
     if surface == "boundary":
         x, y = x & ~binary_erosion(x), y & ~binary_erosion(y)
     to_x = distance_transform_edt(~x, sampling=spacing_mm[::-1])

@@ -1,4 +1,4 @@
-"""Whole-number distance maps against scipy, and their weights."""
+"""Whole-number distance maps, compared with scipy, and their weights."""
 
 import numpy as np
 import pytest
@@ -14,14 +14,14 @@ from tests.workers.comparison.similarity.drawings import of_mask
 @pytest.mark.parametrize("spacing", [(1.0, 1.0, 1.0), (0.5, 0.25, 2.0), (0.3, 0.41, 0.77)])
 @pytest.mark.parametrize("density", [0.0005, 0.02, 0.5, 0.95])
 @pytest.mark.parametrize("least_class", [INTERIOR, BOUNDARY])
-def test_map_against_scipy(spacing, density, least_class):
+def test_map_matches_scipy(spacing, density, least_class):
     rng = np.random.default_rng(3)
     mask = rng.random((19, 35, 23)) < density
     mask[4, 30, 11] = True
     volume = of_mask(mask, spacing)
     voxels = voxel_set(volume, (2,), volume)
     metric = Metric.of_spacing(spacing)
-    # A box larger than the image on every side.
+    # The box is larger than the image on every side.
     distances = distance_map(voxels, least_class, metric, (-2, -3, -4), (20, 36, 27))
     padded = np.pad(mask, ((2, 1), (3, 1), (4, 4)))
     features = padded & ~binary_erosion(padded) if least_class == BOUNDARY else padded
@@ -31,7 +31,7 @@ def test_map_against_scipy(spacing, density, least_class):
 
 
 def test_isotropic_map_counts_squared_voxels():
-    """A single voxel: the map is dz^2 + dy^2 + dx^2 to the last digit."""
+    """The map of a single voxel is dz^2 + dy^2 + dx^2, to the last digit."""
     mask = np.zeros((1, 1, 1), bool)
     mask[0, 0, 0] = True
     volume = of_mask(mask, (0.2, 0.2, 0.2))
@@ -44,7 +44,7 @@ def test_isotropic_map_counts_squared_voxels():
     assert distances.squared.dtype == np.int32
 
 
-def test_boundary_voxels_of_a_drawn_shape():
+def test_boundary_voxels_match_the_drawing():
     """In the middle plane of a 5 x 4 x 3 block only the voxels marked 1 are interior.
 
     ::
@@ -81,7 +81,7 @@ def test_weights_of_common_spacings_are_small_and_exact(spacing, weights, unit_m
 
 
 @pytest.mark.parametrize("spacing", [(0.3, 0.41, 0.777), (0.0332, 3.1, 17.0)])
-def test_weights_of_odd_spacings_are_close(spacing):
+def test_weights_of_other_spacings_are_accurate(spacing):
     metric = Metric.of_spacing(spacing)
     np.testing.assert_allclose(np.sqrt(metric.weights) * metric.unit_mm, spacing[::-1], rtol=1e-6)
 

@@ -1,4 +1,4 @@
-"""Scores of shapes with distances calculated by hand, and of random ones by scipy."""
+"""Scores of shapes with hand-calculated distances, and of random shapes checked by scipy."""
 
 import math
 
@@ -21,15 +21,15 @@ SURFACES = ["boundary", "all"]
 
 
 @pytest.mark.parametrize("surface", SURFACES)
-def test_bars_shifted_by_one(surface):
-    """One plane, so every voxel is a boundary voxel.
+def test_score_of_bars_shifted_by_one_voxel(surface):
+    """There is one plane, so every voxel is a boundary voxel.
 
     ::
 
         X  ##..     distances to Y: 1 0   mean 1/2
         Y  .##.     distances to X: 0 1   mean 1/2
 
-    One voxel of three is common: JC = 1/3, Dice = 2/4, GSF = ln(2/3 * 1/2) = -ln 3.
+    One voxel of three is shared: JC = 1/3, Dice = 2/4, GSF = ln(2/3 * 1/2) = -ln 3.
     """
     score = Scorer(draw(".##."), surface=surface).score(draw("##.."))
     assert score.jc == pytest.approx(1 / 3)
@@ -51,7 +51,7 @@ def test_the_worse_direction_counts():
     assert Scorer(y).score(x).gsf == pytest.approx(math.log(0.5 * 2.0))
 
 
-def test_three_four_five():
+def test_distance_of_a_3_4_5_triangle():
     """::
 
         X  #....    Y  .....
@@ -59,8 +59,8 @@ def test_three_four_five():
            .....       .....
            .....       ....#
 
-    4 along x and 3 along y: 5 voxels. With voxels of 0.3 x 0.4 mm: hypot(1.2, 1.2) mm, and
-    in voxels that divided by the geometric mean of 0.3, 0.4 and 0.6 mm.
+    4 along x and 3 along y: 5 voxels. With voxels of 0.3 x 0.4 mm: hypot(1.2, 1.2) mm; in voxels,
+    this is divided by the geometric mean of 0.3, 0.4 and 0.6 mm.
     """
     x = "#.... ..... ..... ....."
     y = "..... ..... ..... ....#"
@@ -84,12 +84,12 @@ def test_nearest_voxel_may_be_off_the_axis():
     assert score.mhd_mm == pytest.approx((2 + math.hypot(5, 2)) / 2)
 
 
-def test_cube_in_a_cube():
+def test_score_of_a_cube_in_a_cube():
     """A cube of 3 in the middle of a cube of 5.
 
-    The larger has 98 boundary voxels: 54 on faces, a distance 1 from the smaller, 36 on edges
-    (sqrt 2) and 8 corners (sqrt 3). All 26 boundary voxels of the smaller are 1 from the
-    boundary of the larger, but 0 from the larger as a set. JC = 27/125.
+    The larger cube has 98 boundary voxels: 54 on faces, at a distance of 1 from the smaller cube,
+    36 on edges (sqrt 2) and 8 corners (sqrt 3). All 26 boundary voxels of the smaller are 1 from
+    the boundary of the larger, but 0 from the larger as a set. JC = 27/125.
     """
     small, large = np.zeros((7, 7, 7), bool), np.zeros((7, 7, 7), bool)
     small[2:5, 2:5, 2:5] = True
@@ -103,9 +103,9 @@ def test_cube_in_a_cube():
 
 
 def test_edge_of_the_image_is_a_boundary():
-    """A cube of 3 that fills its image has 26 boundary voxels, as it has within air.
+    """A cube of 3 that fills its image has 26 boundary voxels, as it does within air.
 
-    Against its own middle voxel: boundary to boundary (6 + 12 sqrt 2 + 8 sqrt 3) / 26.
+    The boundary distance to its own middle voxel is (6 + 12 sqrt 2 + 8 sqrt 3) / 26.
     """
     full = of_mask(np.ones((3, 3, 3), bool))
     middle = np.zeros((3, 3, 3), bool)
@@ -116,7 +116,7 @@ def test_edge_of_the_image_is_a_boundary():
 
 
 def random_pair(rng):
-    """Return two masks of any density, sometimes of separate lumps."""
+    """Return two masks of random density, sometimes made of separate lumps."""
     shape = rng.integers(2, 22, 3)
     x, y = (rng.random(shape) < rng.choice([0.01, 0.1, 0.5, 0.9]) for _ in range(2))
     x[tuple(rng.integers(0, shape))] = True
@@ -126,7 +126,7 @@ def random_pair(rng):
 
 @pytest.mark.parametrize("surface", SURFACES)
 @pytest.mark.parametrize("spacing", SPACINGS)
-def test_random_volumes_against_scipy(surface, spacing):
+def test_scores_of_random_volumes_match_scipy(surface, spacing):
     rng = np.random.default_rng(11)
     for _ in range(15):
         x, y = random_pair(rng)
@@ -139,7 +139,7 @@ def test_random_volumes_against_scipy(surface, spacing):
 @pytest.mark.parametrize("surface", SURFACES)
 @pytest.mark.parametrize("spacing", [SPACINGS[0], SPACINGS[3]])
 def test_search_method_does_not_change_the_result(surface, spacing, monkeypatch):
-    """Local search, line by line, or distance maps: equal scores, not only nearly equal ones."""
+    """Local search, line search and distance maps give exactly equal scores."""
     rng = np.random.default_rng(12)
     for _ in range(10):
         x, y = random_pair(rng)
@@ -154,7 +154,7 @@ def test_search_method_does_not_change_the_result(surface, spacing, monkeypatch)
 @pytest.mark.parametrize("surface", SURFACES)
 @pytest.mark.parametrize("looks", [0.0, 2.0])
 def test_boxes_may_differ(surface, looks, monkeypatch):
-    """One scorer gets candidates in boxes of their own, inside and outside the target's box."""
+    """One scorer scores candidates in different boxes, inside and outside the target's box."""
     monkeypatch.setattr(nearest_voxel, "FAR_LOOKS", looks)
     monkeypatch.setattr(nearest_voxel, "NEAR_LOOKS", looks)
     rng = np.random.default_rng(13)
@@ -180,15 +180,15 @@ def test_boxes_may_differ(surface, looks, monkeypatch):
         assert score.jc == (x & y).sum() / (x | y).sum()
 
 
-def test_distances_beyond_every_disc():
-    """Two voxels 300 apart along y, further than lines are searched."""
+def test_distances_beyond_the_search_disc_are_exact():
+    """Two voxels are 300 apart along y, further than the line search reaches."""
     x, y = np.zeros((1, 301, 4), bool), np.zeros((1, 301, 4), bool)
     x[0, 0, 0] = y[0, 300, 3] = True
     assert Scorer(of_mask(y)).score(of_mask(x)).mhd_mm == pytest.approx(math.hypot(300, 3))
 
 
 def test_a_line_outside_the_disc_may_be_nearer(monkeypatch):
-    """From X the line of its own row gives 100, but 70 rows on, beyond `FAR`, a voxel is nearer.
+    """The nearest voxel on X's own row is 100 away, but one 70 rows away, beyond `FAR`, is nearer.
 
     The local search must then give up instead of returning 100.
     """
@@ -208,8 +208,8 @@ def test_a_line_outside_the_disc_may_be_nearer(monkeypatch):
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6), surface=st.sampled_from(SURFACES))
-def test_symmetry_and_relations(seed, surface):
-    """Swapping the sets changes nothing; Dice = 2 JC / (JC + 1); GSF from the other two."""
+def test_scores_are_symmetric_and_related(seed, surface):
+    """Swapping the sets changes nothing; Dice = 2 JC / (JC + 1); GSF follows from JC and MHD."""
     x, y = random_pair(np.random.default_rng(seed))
     a = Scorer(of_mask(y), surface=surface).score(of_mask(x))
     b = Scorer(of_mask(x), surface=surface).score(of_mask(y))
@@ -220,7 +220,7 @@ def test_symmetry_and_relations(seed, surface):
 
 
 @pytest.mark.parametrize("surface", SURFACES)
-def test_identical_volumes(surface):
+def test_identical_volumes_have_a_perfect_score(surface):
     x = of_mask(np.random.default_rng(1).random((5, 6, 7)) < 0.4, (0.3, 0.3, 0.9))
     score = Scorer(x, surface=surface).score(x)
     assert score.as_dict() == {
@@ -232,8 +232,8 @@ def test_identical_volumes(surface):
     }
 
 
-def test_solid_and_its_own_skin():
-    """The boundary voxels of a cube of 3 without its middle equal those of the cube: MHD 0."""
+def test_solid_has_zero_distance_to_its_boundary_layer():
+    """A cube of 3 without its middle voxel has the cube's boundary voxels: MHD is 0."""
     full = np.ones((3, 3, 3), bool)
     skin = full.copy()
     skin[1, 1, 1] = False
@@ -261,7 +261,7 @@ def test_geometric_similarity_function():
 def test_several_labels_are_scored_together_or_separately():
     """::
 
-    target     FGGS     fat JC 1; glandular 1 of 2 common; skin 1 of 2 common;
+    target     FGGS     fat JC 1; glandular 1 of 2 shared; skin 1 of 2 shared;
     candidate  FGSS     glandular with skin: the same 3 voxels
     """
     F, G, S = Tissue.FAT, Tissue.GLANDULAR, Tissue.SKIN

@@ -1,4 +1,4 @@
-"""Number of elements of a deformed mesh that own each voxel, counted run by run."""
+"""Number of elements in a deformed mesh that own each voxel, counted run by run."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ from palpate.workers.comparison.warp.rasterisation import signed_volume, tet_run
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Number of elements that own each voxel, and of inverted elements, which own nothing."""
+    """Number of owners of each voxel, and number of inverted elements, which own no voxel."""
 
     counts: Volume
     inverted: int
 
 
 def warp_coverage(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume) -> Coverage:
-    """Return the number of owners of each voxel of the deformed body; 1 in a mesh without folds."""
+    """Return the number of owners of each voxel in the deformed body; 1 in a mesh without folds."""
     deformed = place_on_lattice(mesh, displacement_mm, lattice)
     counts = np.zeros(deformed.shape, dtype=np.uint8)
     inverted = 0

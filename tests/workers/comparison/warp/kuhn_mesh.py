@@ -1,4 +1,4 @@
-"""Boxes of tetrahedra for tests: every cell of a grid cut in six along its diagonal."""
+"""Boxes of tetrahedra for tests: every grid cell is cut into six along its diagonal."""
 
 from itertools import permutations
 
@@ -10,7 +10,7 @@ EVEN = {(0, 1, 2), (1, 2, 0), (2, 0, 1)}
 
 
 def box_mesh(cells, low_mm, high_mm, *, jitter=0.0, seed=0) -> TetMesh:
-    """Return Kuhn's (Freudenthal's) cut of a box; inner nodes moved by up to `jitter` cells.
+    """Return Kuhn's (Freudenthal's) cut of a box, with inner nodes moved by up to `jitter` cells.
 
     Nodes on a side of the box stay on it, so that the box keeps its shape.
     """

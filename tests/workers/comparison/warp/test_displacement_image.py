@@ -1,4 +1,4 @@
-"""Every voxel of a deformed body has the displacement of its tissue."""
+"""Displacement images of deformed bodies."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ LATTICE = Volume(np.zeros((1, 1, 1), np.uint8), (0.5, 0.75, 1.0), (0.1, 0.2, 0.3
 
 
 def test_affine_map_gives_the_length_of_each_displacement() -> None:
-    """Under x -> F x, the tissue at x came from F^-1 x."""
+    """Under x -> F x, the tissue at x comes from F^-1 x."""
     F = np.array([[1.2, 0.1, 0.0], [-0.2, 0.7, 0.15], [0.05, 0.0, 1.1]])
     mesh = box_mesh((3, 4, 3), (-2.0, 1.0, 0.0), (6.0, 9.0, 5.0), jitter=0.2)
     displacement = mesh.nodes @ F.T - mesh.nodes

@@ -1,4 +1,4 @@
-"""Skin thinned below a voxel by compression stays closed; nothing else changes."""
+"""Skin that compression thins below a voxel stays closed; nothing else changes."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ MESH = box_mesh((3, 4, 3), (0, 0, 0), SHAPE[::-1], jitter=0.2)
 @pytest.mark.parametrize("shift_mm", [0.0, 0.2, 0.45, 0.7])
 @pytest.mark.parametrize("ratio", [0.3, 0.45, 0.8])
 def test_squeezed_skin_is_closed(ratio, shift_mm):
-    """A sheet of 0.3 to 0.8 mm, wherever the voxel centres are."""
+    """The sheet is 0.3 to 0.8 mm thick, wherever the voxel centres are."""
     u = squeezed(MESH, ratio, shift_mm)
     plain, whole = (warp(block(), MESH, u).values for warp in (warp_labels, warp_with_skin))
     for end in (0, -1):
@@ -44,7 +44,7 @@ def test_squeezed_skin_is_closed(ratio, shift_mm):
 
 
 def test_plain_image_has_holes():
-    """The case needs closing: no voxel centre is in the first sheet of skin."""
+    """Without closing, no voxel centre is in the first sheet of skin."""
     plain = warp_labels(block(), MESH, squeezed(MESH, 0.3, 0.15)).values
     assert (plain[:, 0] == Tissue.FAT).all()
 
@@ -58,7 +58,7 @@ def test_glandular_tissue_at_the_surface_stays():
 
 
 def test_body_without_skin_is_unchanged():
-    """Cut sides get no skin, nor does a region without skin, nor a body at rest."""
+    """No skin is added to cut sides, a region without skin, or a body at rest."""
     bare = block(FAT=np.s_[:, 0, :6])
     u = squeezed(MESH, 0.3, 0.15)
     whole = warp_with_skin(bare, MESH, u).values

@@ -1,1 +1,1 @@
-"""Inference of the cause of a model-image discrepancy: arrays in, numbers out."""
+"""Inference of the cause of a discrepancy between model and image: arrays in, numbers out."""

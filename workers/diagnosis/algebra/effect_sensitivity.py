@@ -17,10 +17,10 @@ class EffectSensitivity:
     ----------
     name : str
     family : str
-        Shared by similar effects.
+        Family, shared by similar effects.
     columns : ndarray, shape (m, q) or (g, m, q)
-        In mm per unit; a stack for an effect tried at g places, or at g magnitudes, the largest
-        first.
+        Derivatives in mm per unit; a stack for an effect evaluated at g places, or at g magnitudes,
+        the largest first.
     prior_sd : ndarray, shape (q,)
         Plausible scale of each parameter, > 0.
     one_sided : ndarray of bool, shape (q,)
@@ -33,7 +33,7 @@ class EffectSensitivity:
     Raises
     ------
     InputError
-        If shapes disagree, a number is not finite, or a scale is not positive.
+        If shapes do not match, a number is not finite, or a scale is not positive.
     """
 
     name: str
@@ -72,17 +72,17 @@ class EffectSensitivity:
 
     @property
     def is_steep(self) -> bool:
-        """Whether the response to an effect grows faster than its magnitude."""
+        """Whether the response to the effect grows faster than its magnitude."""
         large, small = np.linalg.norm(self.places[[0, -1], :, 0], axis=1)
         return bool(large > small)
 
     def whitened(self, problem: Linearised) -> FloatArray:
-        """Return columns in whitened space per prior standard deviation, shape (g, m, q).
+        """Return the columns in whitened space per prior standard deviation, shape (g, m, q).
 
         Raises
         ------
         InputError
-            If the number of residuals of the problem differs.
+            If the problem has a different number of residuals.
         """
         g, m, q = self.places.shape
         if m != problem.size:

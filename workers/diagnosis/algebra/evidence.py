@@ -3,14 +3,14 @@ r"""Laplace's log evidence of a fit: the log probability of the data under a hyp
 .. math:: \ln p = -\tfrac12 \chi^2 - \tfrac12 \delta'\Lambda\delta + \tfrac12 g'H^{-1}g
           - \tfrac12 \ln|H| - \sum \ln sd + n_1 \ln 2 + \ln \Pr(\text{one-sided} > 0),
 
-with :math:`H = J'C^{-1}J + \Lambda`, the gradient g, which is zero at a converged inner
-optimum, and n_1 half-normal priors. The last term is the probability of the admissible side under
-the posterior normal, centred one Newton step away; it makes the formula hold at a bound, where g is
-not zero. A parameter stopped at another bound of its interval is treated alike, without the ln 2.
-The common term -(m/2) ln 2 pi - ln|C|/2 is omitted, so only hypotheses about the same data can be
-compared; their numbers of parameters may differ.
+with :math:`H = J'C^{-1}J + \Lambda`, the gradient g, which is zero at a converged inner optimum,
+and n_1 half-normal priors. The last term is the probability of the admissible side under the
+posterior normal, centred one Newton step away; it makes the formula hold at a bound, where g is not
+zero. A parameter stopped at another bound of its interval is treated in the same way, without the
+ln 2. The common term -(m/2) ln 2 pi - ln|C|/2 is omitted, so hypotheses can be compared only on the
+same data; their numbers of parameters may differ.
 
-Exact for a linear model; D. J. C. MacKay, Neural Computation 4 (1992) 415, for others.
+It is exact for a linear model; for others, see D. J. C. MacKay, Neural Computation 4 (1992) 415.
 """
 
 from collections.abc import Sequence
@@ -24,14 +24,14 @@ from palpate.workers.diagnosis.algebra.linearisation import Linearised
 
 
 class Quadratic(NamedTuple):
-    """The quadratic misfit around a fit, or a stack of misfits of any shape, written as dots.
+    """The quadratic misfit around a fit, or a stack of misfits whose shape is written as dots.
 
     Parameters are in prior standard deviations.
 
     Parameters
     ----------
     misfit : ndarray, shape (...)
-        ``rho' M rho`` with M the precision of the noise in whitened space.
+        ``rho' M rho``, with M the precision of the noise in whitened space.
     gradient : ndarray, shape (..., p)
         ``A' M rho``.
     curvature : ndarray, shape (..., p, p)
@@ -47,11 +47,11 @@ class Quadratic(NamedTuple):
 
     @classmethod
     def stacked(cls, several: Sequence["Quadratic"]) -> "Quadratic":
-        """Stack misfits of one shape along a new first axis."""
+        """Stack misfits of equal shape along a new first axis."""
         return cls(*(np.stack(parts) for parts in zip(*several, strict=True)))
 
     def of(self, which: IntArray) -> "Quadratic":
-        """Return the misfit with only some parameters free, for each row of `which`, (g, k)."""
+        """Return the misfits with only the parameters in each row of `which`, (g, k), free."""
         return Quadratic(
             self.misfit[..., None],
             self.gradient[..., which],
@@ -60,7 +60,7 @@ class Quadratic(NamedTuple):
         )
 
     def scaled(self, factors: FloatArray) -> "Quadratic":
-        """Return the misfit for prior standard deviations scaled by factors, (p,)."""
+        """Return the misfit with prior standard deviations scaled by factors, (p,)."""
         return self._replace(
             gradient=self.gradient * factors,
             curvature=self.curvature * np.outer(factors, factors),
@@ -75,7 +75,7 @@ class Posterior(NamedTuple):
 
 
 def quadratic(at: Linearised) -> Quadratic:
-    """Return the misfit of one fit under its own noise."""
+    """Return the quadratic misfit of one fit under its own noise."""
     A, rho = at.scaled_nominal, at.whitened_residual
     return Quadratic(np.array(rho @ rho), A.T @ rho, A.T @ A, np.zeros(()))
 
@@ -95,14 +95,14 @@ def posterior(q: Quadratic, offset: FloatArray) -> Posterior:
 
 
 class Sides(NamedTuple):
-    """Side of an edge to which each parameter is restricted, shape (p,) each.
+    """The side of an edge to which each parameter is restricted, shape (p,) each.
 
     Parameters
     ----------
     side : ndarray of int
-        1 for above, -1 for below, 0 for either.
+        1 for above the edge, -1 for below, 0 for either side.
     edge : ndarray
-        In prior standard deviations from the prior mean.
+        Edge in prior standard deviations from the prior mean.
     """
 
     side: IntArray
@@ -123,7 +123,7 @@ def log_marginal(
     one_sided: BoolArray,
     at_bound: IntArray | None = None,
 ) -> FloatArray:
-    """Return the log evidence of each misfit of a stack, shape (...).
+    """Return the log evidence of each misfit in a stack, shape (...).
 
     Parameters
     ----------
@@ -133,8 +133,8 @@ def log_marginal(
     one_sided : ndarray of bool, shape (p,)
         Parameters with a half-normal prior, from their prior mean upwards.
     at_bound : ndarray of int, shape (p,), optional
-        Parameters stopped at a bound by the fit, which are restricted to its inside: 1 at a lower
-        bound, -1 at an upper bound, 0 for all others.
+        Parameters that the fit stopped at a bound, which are restricted to its inner side: 1 at a
+        lower bound, -1 at an upper bound, 0 for all others.
     """
     side, edge = sides(offset, one_sided, at_bound)
     held = side != 0
@@ -156,7 +156,7 @@ def log_marginal(
 
 
 def _factored(curvature: FloatArray, gradient: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the Cholesky factor L of H and ``L^-1 g``, the last row with H bordered by g."""
+    """Return the Cholesky factor L of H and ``L^-1 g``, from the factor of H bordered by g."""
     p = gradient.shape[-1]
     bordered = np.empty((*gradient.shape[:-1], p + 1, p + 1))
     bordered[..., :p, :p], bordered[..., p, :p] = curvature, gradient
@@ -171,14 +171,14 @@ def _factored(curvature: FloatArray, gradient: FloatArray) -> tuple[FloatArray, 
 def log_evidence(
     at: Linearised, one_sided: BoolArray | None = None, at_bound: IntArray | None = None
 ) -> float:
-    """Return Laplace's log evidence of a refit.
+    """Return the Laplace log evidence of a refit.
 
     Parameters
     ----------
     at : Linearised
-        With all parameters of the hypothesis, including its effects, as nominal ones.
+        Linearisation with all parameters of the hypothesis, including its effects, as nominal ones.
     one_sided : ndarray of bool, shape (p,), optional
-        Parameters restricted to values above their prior mean; by default none.
+        Parameters restricted to values above their prior mean; none by default.
     at_bound : ndarray of int, shape (p,), optional
         See `log_marginal`.
     """

@@ -1,8 +1,8 @@
-"""Orthant probabilities of normal distributions.
+"""Orthant probabilities of multivariate normal distributions.
 
-Separation of variables after A. Genz, J. Comput. Graph. Stat. 1 (1992) 141, in logarithms, so far
-tails keep their precision. One variable is exact; more are averaged over a fixed lattice of points,
-so results are reproducible.
+The variables are separated after A. Genz, J. Comput. Graph. Stat. 1 (1992) 141, in logarithms,
+which keeps far tails precise. One variable is exact; several are averaged over a fixed lattice of
+points, so results are reproducible.
 """
 
 import numpy as np
@@ -12,13 +12,13 @@ from palpate.storage.values import FloatArray
 
 POINTS = 1021
 # Generators of Richtmyer's lattice: a motion of the base and a rotation of the frame have nine
-# parameters, and two more effects have a few.
+# parameters together, and two more effects have a few.
 ROOTS = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0, 31.0, 37.0, 41.0, 43.0])
 
 
 def _log_uniform() -> FloatArray:
     lattice = ROOTS[:, None] * np.arange(1, POINTS + 1) + 0.5
-    uniform = np.abs(2.0 * (lattice % 1.0) - 1.0)  # folded: the integrand becomes periodic
+    uniform = np.abs(2.0 * (lattice % 1.0) - 1.0)  # folded, so that the integrand becomes periodic
     return np.asarray(np.log(np.maximum(uniform, np.finfo(float).tiny)))
 
 
@@ -33,7 +33,7 @@ def log_orthant(mean: FloatArray, covariance: FloatArray) -> FloatArray:
     mean : ndarray, shape (..., d)
         Means of a stack of distributions, d <= 15.
     covariance : ndarray, shape (..., d, d)
-        Positive definite; one for each distribution, or common to all.
+        Positive definite covariances, one for each distribution or common to all.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-r"""One linear step of a fit, and its influence on the noise in the residuals.
+r"""One linear step of a fit, and its effect on the noise in the residuals.
 
 With a residual r, noise of covariance C and a fit that changes residuals by ``r -> r + F r``, the
 noise covariance after the fit is ``(I + F) C (I + F)'``. The mean square error of the fitted model
@@ -7,12 +7,12 @@ on a noise-free image is smaller than the mean square residual by
 .. math:: \overline{\mathrm{diag}\,C} + 2\,\overline{\mathrm{diag}\,FC}:
 
 the noise, and the part of it that the fit absorbed (the covariance penalty of C. L. Mallows,
-Technometrics 15 (1973) 661, and B. Efron, J. Am. Stat. Assoc. 99 (2004) 619). Without a fit F is
+Technometrics 15 (1973) 661, and B. Efron, J. Am. Stat. Assoc. 99 (2004) 619). Without a fit, F is
 zero.
 
-The pose of a scan is not an error of the model. If scans are registered by another fit, by
-``r -> r + R r``, C includes the uncertainty of the poses, and only the remainder counts as noise:
-``(I + R) C (I + R)'`` replaces C in the first term, ``F C (I + R)'`` replaces FC.
+The pose of a scan is not an error of the model. If scans are registered by another fit, with ``r ->
+r + R r``, C includes the uncertainty of the poses, and only the remainder counts as noise: ``(I +
+R) C (I + R)'`` replaces C in the first term, and ``F C (I + R)'`` replaces FC.
 """
 
 from dataclasses import dataclass
@@ -28,12 +28,12 @@ from palpate.workers.diagnosis.algebra.linearisation import Linearised, factored
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Registration:
-    """Poses of the scans from one fit, as a step of ``-(gain r + shift)`` in prior sd.
+    """Poses of the scans from one fit, as a step ``-(gain r + shift)`` in prior sd.
 
     Parameters
     ----------
     gain : ndarray, shape (q, m)
-        Applied to the residuals of the registered model.
+        Matrix applied to the residuals of the registered model.
     shift : ndarray, shape (q,)
     """
 
@@ -42,10 +42,10 @@ class Registration:
 
     @classmethod
     def by(cls, best: "LinearFit", count: int, residual: FloatArray) -> "Registration":
-        """Return the registration by the best model, for another model of the same scans.
+        """Return the best model's registration, for another model of the same scans.
 
-        An incomplete model would move the scans to compensate, so it must not register them
-        itself.
+        An incomplete model would move the scans to compensate for what it lacks, so it must not
+        register them itself.
 
         Parameters
         ----------
@@ -67,18 +67,18 @@ class LinearFit:
     ----------
     problem : Linearised
     train : ndarray of bool, shape (m,), optional
-        Residuals used in the fit; by default all.
+        Residuals used in the fit; all by default.
     judge : ndarray of bool, shape (m,), optional
-        Residuals used to assess the fit; by default all.
+        Residuals used to assess the fit; all by default.
     fitted : bool
-        If False, the parameters stay unchanged and the residual counts as not fitted.
+        If False, the parameters stay unchanged and the residuals are those before a fit.
     registration : Registration, optional
         Replaces the last parameters, the poses of the scans.
 
     Raises
     ------
     InputError
-        If no residual is left for the fit or its assessment.
+        If there is no residual for the fit or its assessment.
     """
 
     def __init__(
@@ -132,22 +132,22 @@ class LinearFit:
 
     @property
     def step(self) -> FloatArray:
-        """Change in the parameters from the fit, shape (p,), in prior standard deviations."""
+        """Change in the parameters due to the fit, shape (p,), in prior standard deviations."""
         return -(self.gain @ self.problem.residual + self.bias)
 
     @cached_property
     def residual(self) -> FloatArray:
-        """Judged residuals after the step, in mm."""
+        """Assessed residuals after the step, in mm."""
         return self.after(self.problem.residual[:, None])[:, 0]
 
     def after(self, residuals: FloatArray) -> FloatArray:
-        """Apply the fit to other residuals, shape (m, n); return shape (judged, n)."""
+        """Return other residuals, shape (m, n), after the fit; shape (assessed, n)."""
         steps = self.gain @ residuals + self.bias[:, None]
         return np.asarray(residuals[self.judge] - self._columns[self.judge] @ steps)
 
     @cached_property
     def observation_mm2(self) -> FloatArray:
-        """Observation variance of each judged residual, after any registration."""
+        """Observation variance of each assessed residual, after any registration."""
         N = self.poses[self.judge]
         own = (self.problem.covariance_factor**2).sum(axis=1)[self.judge] + (N**2).sum(axis=1)
         taken = 2.0 * self._shared_poses[self.judge] - N @ (self._pose_gain @ self._shared_poses)
@@ -155,7 +155,7 @@ class LinearFit:
 
     @cached_property
     def noise_mm2(self) -> FloatArray:
-        """Difference in expected mean square between each residual and the gap."""
+        """Expected square of each residual minus the squared gap there."""
         fitted = slice(self._columns.shape[1] - self._registered)
         J, N = self._columns[self.judge, fitted], self.poses[self.judge]
         shared = self._shared[self.judge, fitted] - N @ (self.gain[fitted] @ self._shared_poses).T
@@ -163,18 +163,18 @@ class LinearFit:
 
     @property
     def excess_mm2(self) -> float:
-        """G^2 over all judged residuals, before clipping at zero."""
+        """G^2 over all assessed residuals, before clipping at zero."""
         return float((self.residual**2).mean() - self.noise_mm2.mean())
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """D of the judged residuals."""
+        """Covariance D of the assessed residuals."""
         return self.covariance_of(self.judge)
 
     def covariance_of(self, rows: BoolArray) -> FloatArray:
-        """Return D of the chosen residuals, judged or not; rows of shape (m,)."""
+        """Return the covariance D of the residuals in `rows`, shape (m,), assessed or not."""
         X = self._columns[rows]
-        # C - X S' - S X' + X T X' with a symmetric T: both halves at once.
+        # C - X S' - S X' + X T X' with a symmetric T, computing both halves at once.
         half = self._shared[rows] - 0.5 * X @ (self.gain @ self._shared)
         left, right = [X, half], [half, X]
         if self._registered:

@@ -4,16 +4,15 @@ Near the fit, the signed distances r between model and image obey
 
 .. math:: r(z) = r + J z = \text{systematic part} + e, \qquad e \sim N(0, C),
 
-with z the change in the parameters and a normal prior on each of them. Whitened by
-``C = L L'`` the noise is the unit normal; A and rho stand for J and r in that space.
-Integrating z out leaves the precision
+with z the change in the parameters and a normal prior on each of them. Whitened by ``C = L L'``,
+the noise is standard normal; A and rho denote J and r in that space. Integrating z out leaves the
+precision
 
 .. math:: P = (I + A S A')^{-1} = I - A (A'A + \Lambda)^{-1} A',
           \qquad S = \Lambda^{-1} = \mathrm{diag}(sd^2),
 
-which almost removes the part that the parameters can absorb. With flat priors P is the
-projection of the efficient score (C. R. Rao, Proc. Camb. Phil. Soc. 44 (1948) 50;
-J. Neyman's C(alpha), 1959).
+which almost removes the part that the parameters can absorb. With flat priors, P is the projection
+of the efficient score (C. R. Rao, Proc. Camb. Phil. Soc. 44 (1948) 50; J. Neyman's C(alpha), 1959).
 """
 
 from dataclasses import dataclass
@@ -33,10 +32,10 @@ class Linearised:
     Parameters
     ----------
     residual : ndarray, shape (m,)
-        Signed distances of the model from the observed interfaces at the fit, in mm;
-        all states one after another.
+        Signed distances of the model from the observed interfaces at the fit, in mm, with all
+        states concatenated.
     nominal : ndarray, shape (m, p)
-        Derivatives of the residual in the free parameters, in mm per unit.
+        Derivatives of the residual with respect to the free parameters, in mm per unit.
     nominal_sd : ndarray, shape (p,)
         Prior standard deviations of the parameters, > 0.
     nominal_offset : ndarray, shape (p,)
@@ -47,8 +46,8 @@ class Linearised:
     Raises
     ------
     InputError
-        If shapes disagree, a number is not finite, or a standard deviation or a diagonal
-        entry of the factor is not positive.
+        If shapes do not match, a number is not finite, or a standard deviation or a diagonal entry
+        of the factor is not positive.
     """
 
     residual: FloatArray
@@ -83,7 +82,7 @@ class Linearised:
 
     @property
     def size(self) -> int:
-        """Number of residuals m."""
+        """The number of residuals, m."""
         return len(self.residual)
 
     @cached_property
@@ -105,7 +104,7 @@ class Linearised:
     def efficient_residual(self) -> FloatArray:
         """Part of the whitened residual that the parameters cannot absorb, shape (m,).
 
-        It is ``P (rho - A offset)``, and rho itself if the fit has converged.
+        It is ``P (rho - A offset)``, or rho itself if the fit has converged.
         """
         return self.project(self.whitened_residual - self.scaled_nominal @ self.scaled_offset)
 
@@ -131,7 +130,7 @@ class Linearised:
         Parameters
         ----------
         columns : ndarray, shape (m, q)
-            Derivatives of the residual in the new parameters.
+            Derivatives of the residual with respect to the new parameters.
         sd : ndarray, shape (q,)
         """
         return Linearised(
@@ -143,7 +142,7 @@ class Linearised:
         )
 
     def holding(self, which: BoolArray) -> "Linearised":
-        """Return the fit with some parameters, ``which`` of (p,), held at their values."""
+        """Return the fit with some parameters, a mask of shape (p,), held at their values."""
         free = ~which
         return Linearised(
             self.residual,
@@ -172,5 +171,5 @@ def factored(covariance: FloatArray) -> FloatArray:
     except np.linalg.LinAlgError as error:
         raise InputError(
             f"The covariance of the noise, shape {covariance.shape}, is not positive definite. "
-            "Add noise that is independent between points (a nugget)."
+            "Add noise that is independent at each point (a nugget)."
         ) from error

@@ -1,4 +1,4 @@
-"""Calibration: the fitted nominal model with the noise of the scans and of the mesh."""
+"""Calibration: the fit of the nominal model, with the noise of the scans and of the mesh."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -35,7 +35,7 @@ from palpate.workers.scan_threads import Each
 def calibrate(
     inverse: InverseProblem, finer: Model | None = None, each: Each = map
 ) -> tuple[InverseProblem, SolvedFit]:
-    """Fit the nominal constants, then refit them to the reliable points of the scans.
+    """Fit the nominal constants, then refit them to the reliable points in the scans.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ def calibrate(
     first = fit(inverse, free, free.mean, [None] * len(inverse.scans), each=each)
     if first is None:
         raise InputError(
-            "The nominal model could not be solved at the middle of the plausible intervals: "
-            "check loads, units and constants of the case."
+            "The nominal model could not be solved in the middle of the plausible intervals. "
+            "Check the loads, units and constants of the case."
         )
     inverse, first = _reduced(inverse, first, clear(inverse, first))
     if inverse.is_segmented:
@@ -74,14 +74,14 @@ def calibrate(
     inverse = with_learnt_noise(inverse, columns, predictions)
     second = fit(inverse, free, first.z, [v.at for v in predictions], each=each)
     if second is None:
-        raise AssertionError("a fit that starts at the optimum of another one must be simulable")
+        raise AssertionError("a fit that starts at the optimum of another fit must be simulable")
     return inverse, second
 
 
 def _reduced(
     inverse: InverseProblem, at: SolvedFit, kept: BoolArray
 ) -> tuple[InverseProblem, SolvedFit]:
-    """Return the problem and its fit for a subset of the points, shape (k,)."""
+    """Return the problem and its fit for a subset of the points, given as a mask of shape (k,)."""
     rows = np.tile(kept, len(inverse.scans))
     inverse = inverse.keeping(kept)
     predictions = tuple(_compared(inverse, at, at.predictions))
@@ -89,7 +89,7 @@ def _reduced(
 
 
 def _matched(inverse: InverseProblem, at: SolvedFit) -> BoolArray:
-    """Find points that every scan shows, whatever may move them, shape (k,)."""
+    """Find points with a counterpart in every scan, whatever may move them, shape (k,)."""
     field, centre_mm = inverse.something_else, inverse.frame.centre_mm
     moved, normals = [v.points for v in at.predictions], [v.normals for v in at.predictions]
     smooth = smooth_columns(
@@ -109,7 +109,7 @@ def _matched(inverse: InverseProblem, at: SolvedFit) -> BoolArray:
 
 
 def _pressed(inverse: InverseProblem, predictions: Sequence[PredictedScan]) -> list[FloatArray]:
-    """Return the pressed share of each point in each scan, shapes (k,)."""
+    """Return the share of each point that is pressed by plates in each scan, shapes (k,)."""
     nodes = [inverse.forward.pressed(v.at) for v in predictions]
     free = np.zeros(len(inverse.points))
     return [free if one is None else pressed_shares(inverse, one) for one in nodes]
@@ -118,7 +118,7 @@ def _pressed(inverse: InverseProblem, predictions: Sequence[PredictedScan]) -> l
 def _compared(
     inverse: InverseProblem, at: Fit, solved: Sequence[PredictedScan]
 ) -> list[PredictedScan]:
-    """Compare solved predictions with the scans again, after a change to the problem."""
+    """Compare solved predictions with the scans again after a change to the problem."""
     return [
         compare_with_scan(inverse, scan, at.unknowns, at.z, v.at)
         for scan, v in zip(inverse.scans, solved, strict=True)
@@ -128,8 +128,8 @@ def _compared(
 def clear(inverse: InverseProblem, at: Fit) -> BoolArray:
     """Find points with no second interface nearby in any deformed scan.
 
-    Two scans of one body are segmented separately; a thin strand or cleft may be in only one of
-    them, and the nearest interface is then a different one.
+    Two scans of one body are segmented separately; a thin strand or cleft may be in only one of the
+    segmentations, and the nearest interface is then a different one.
     """
     reach = SETTINGS.points.clear_noises * inverse.noise.sd_mm
     alone = np.ones(len(inverse.points), np.bool_)
@@ -149,7 +149,7 @@ def with_mesh_bias(
     predictions: Sequence[PredictedScan],
     each: Each = map,
 ) -> InverseProblem:
-    """Subtract the shift of the points between this mesh and a finer one."""
+    """Correct for the shift of the points between this mesh and a finer one."""
     fine_problem = replace(inverse, model=finer, at_points=interpolation_of(finer, inverse))
     fine_problem = with_pressed_points(fine_problem, [v.followed.pressed for v in predictions])
 
@@ -165,7 +165,7 @@ def with_mesh_bias(
 
 
 def with_anchored_scans(inverse: InverseProblem, anchors: Sequence[FloatArray]) -> InverseProblem:
-    """Fix the noise of drawn interfaces to its value at the anchors, (k, 3) for each scan."""
+    """Fix the noise of segmented interfaces at its value at the anchors, (k, 3) for each scan."""
     if not inverse.is_segmented:
         return inverse
     length = inverse.noise.correlation_mm
@@ -179,15 +179,15 @@ def with_anchored_scans(inverse: InverseProblem, anchors: Sequence[FloatArray]) 
 def with_learnt_noise(
     inverse: InverseProblem, columns: FloatArray, predictions: Sequence[ComparedScan]
 ) -> InverseProblem:
-    """Learn amplitude and length of the noise; see `workers.diagnosis.noise.learning`.
+    """Learn the amplitude and length of the noise; see `workers.diagnosis.noise.learning`.
 
     Parameters
     ----------
     inverse : InverseProblem
     columns : ndarray, shape (m, p)
-        Derivatives of the residuals in the constants, per prior standard deviation.
+        Derivatives of the residuals with respect to the constants, per prior standard deviation.
     predictions : sequence of ComparedScan
-        From the fit at which the derivatives were taken.
+        Predictions of the fit at which the derivatives were taken.
     """
     parts = noise_parts(inverse, predictions)
     if not inverse.is_segmented:

@@ -1,4 +1,4 @@
-"""Gauss-Newton fit of the parameters of a hypothesis to the scans."""
+"""Gauss-Newton fit of a hypothesis's parameters to the scans."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,9 +33,9 @@ class Fit:
     z : ndarray, shape (p,)
         Logarithms of the constants, then the parameters of the effects.
     predictions : tuple of ComparedScan
-        One for each scan.
+        Comparison with each scan.
     jacobian : ndarray, shape (m, p)
-        Derivatives of the residuals of all scans.
+        Derivatives of the residuals in all scans.
     cost : float
         Minus twice the log posterior, up to a constant.
     converged : bool
@@ -63,11 +63,11 @@ class Fit:
         return self.unknowns.at_bound(self.z)
 
     def residual(self, inverse: InverseProblem) -> FloatArray:
-        """Return the residuals of all scans, one after another, shape (s k,), in mm."""
+        """Return the residuals of all scans, concatenated, shape (s k,), in mm."""
         return residuals(inverse, self.predictions)
 
     def linearised(self, inverse: InverseProblem) -> Linearised:
-        """Return residuals, derivatives and noise around the optimum, with poses in the noise."""
+        """Return residuals, derivatives and noise at the optimum, with the poses as noise."""
         u, poses = self.unknowns, self.pose_columns(inverse)
         factor = inverse.covariance_factor
         return Linearised(
@@ -81,7 +81,8 @@ class Fit:
     def linearised_with_poses(self, inverse: InverseProblem) -> Linearised:
         """Return the linearisation with poses and contour bias as additional free parameters.
 
-        The gap is computed after fitting them, as the pose of a scan is not an error of the model.
+        The gap is computed after fitting them, because the pose of a scan is not an error of the
+        model.
         """
         u, q = self.unknowns, inverse.nuisance_count
         nuisances = np.hstack([self.pose_columns(inverse), inverse.drawing])
@@ -144,7 +145,7 @@ def fit(
     starts : sequence of Equilibrium
         A nearby equilibrium of each scan; None to solve from rest.
     poses : sequence of ndarray, shape (6,), optional
-        Initial poses of the scans, see `PredictedScan`; by default as in their headers.
+        Initial poses of the scans, see `PredictedScan`; by default, the poses in their headers.
     each : callable
         Applies a function to every scan, like `map`, possibly in parallel.
     max_iterations : int
@@ -177,7 +178,7 @@ def fit(
         descent = _Descent(z, predictions, cost, length)
         found = _descend(inverse, unknowns, descent, step, jacobians, each)
         if found is None and not fresh:
-            jacobians = None  # reused columns may point uphill
+            jacobians = None  # reused derivatives may point uphill
             continue
         at_rest = expected < SETTINGS.fit.at_rest
         fall = 0.0 if found is None else cost - found.cost
@@ -200,7 +201,7 @@ def fit(
 
 
 def _next_length(length: float, fall: float, expected: float) -> float:
-    """Return the initial length of the next step, after one that reduced the cost."""
+    """Return the initial length of the next step, after a step that reduced the cost."""
     if fall > SETTINGS.fit.underrated * expected:
         return SETTINGS.fit.further
     return min(1.0, length / SETTINGS.fit.shortening)
@@ -268,9 +269,9 @@ def _local_model(
 def _step(
     u: Unknowns, z: FloatArray, gradient: FloatArray, curvature: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return the step to the expected minimum of the cost, and the expected decrease.
+    """Return the step to the expected minimum of the cost, and the expected decrease in cost.
 
-    Parameters at a bound that would move outwards stay there.
+    Parameters at a bound stay there if they would move outwards.
     """
     held = np.zeros(len(z), bool)
     while True:
@@ -292,7 +293,7 @@ def _starts(
     jacobians: Sequence[ScanJacobian],
     change: FloatArray,
 ) -> list[Equilibrium | None]:
-    """Return the starting equilibria of the scans after a change in the parameters, (p,)."""
+    """Return starting equilibria of the scans after a change in the parameters, (p,)."""
     return [
         inverse.forward.expecting(one.at, np.tensordot(change, jacobian.moved, 1))
         for one, jacobian in zip(predictions, jacobians, strict=True)

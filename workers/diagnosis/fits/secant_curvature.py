@@ -1,11 +1,11 @@
 r"""Secant estimate of the curvature that the Gauss-Newton method neglects.
 
-The Hessian of half a sum of squares is :math:`A^T A + \sum_i r_i \nabla^2 r_i`. The second part can
-be neglected if residuals are small or nearly linear. A localised effect moves the points
+The Hessian of half a sum of squares is :math:`A^T A + \sum_i r_i \nabla^2 r_i`. The second part is
+negligible if the residuals are small or nearly linear. A localised effect moves the points
 nonlinearly, and noise is never small: a step based on the first part alone then achieves a tenth of
-the expected decrease, and a line search crawls. The second part is learnt as in NL2SOL (J. E.
+the expected decrease, and a line search crawls. The second part is estimated as in NL2SOL (J. E.
 Dennis, D. M. Gay and R. E. Welsch, ACM Trans. Math. Softw. 7 (1981) 348), and used for the next
-step if it would have predicted the last one better.
+step if it would have predicted the last step better.
 """
 
 from dataclasses import dataclass, replace
@@ -27,9 +27,9 @@ class LocalModel:
     columns : ndarray, shape (m, p)
         Derivatives of the whitened residuals.
     residual : ndarray, shape (m,)
-        Whitened, without the part that poses explain.
+        Whitened residuals, without the part that poses explain.
     gradient : ndarray, shape (p,)
-        Including the prior.
+        Gradient, including the prior.
     curvature : ndarray, shape (p, p)
         Gauss-Newton curvature, including the prior.
     """
@@ -40,20 +40,20 @@ class LocalModel:
     curvature: FloatArray
 
     def fall(self, step: FloatArray, missing: FloatArray | None = None) -> float:
-        """Return the expected decrease of the cost over a step, (p,)."""
+        """Return the expected decrease in cost over a step, (p,)."""
         bent = self.curvature if missing is None else self.curvature + missing
         return float(-2.0 * self.gradient @ step - step @ bent @ step)
 
 
 @dataclass(frozen=True, eq=False)
 class SecantCurvature:
-    """The neglected curvature, as estimated from the steps so far.
+    """The neglected curvature, estimated from the steps so far.
 
     Parameters
     ----------
     missing : ndarray, shape (p, p)
     is_used : bool
-        Whether the next step takes it into account.
+        Whether the next step takes the estimate into account.
     last : LocalModel, optional
         The model at the start of the last step.
     step : ndarray, shape (p,), optional
@@ -67,7 +67,7 @@ class SecantCurvature:
 
     @classmethod
     def unknown(cls, parameters: int) -> "SecantCurvature":
-        """Return the estimate for a fit that has not taken a step."""
+        """Return the initial estimate, for a fit that has not taken a step."""
         return cls(np.zeros((parameters, parameters)))
 
     @property
@@ -80,7 +80,7 @@ class SecantCurvature:
         return replace(self, is_used=True)
 
     def stepped(self, model: LocalModel, step: FloatArray, fall: float) -> "SecantCurvature":
-        """Return the estimate with a step from a model recorded, given the decrease in cost."""
+        """Return the estimate after recording a step from a model, given the decrease in cost."""
         without, with_it = model.fall(step), model.fall(step, self.missing)
         better = self.is_known and abs(fall - with_it) < abs(fall - without)
         return SecantCurvature(self.missing, better, model, step)

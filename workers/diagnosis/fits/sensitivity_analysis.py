@@ -1,4 +1,4 @@
-"""Sensitivities of the nominal fit's residuals to every effect of a catalogue."""
+"""Sensitivities of the nominal fit's residuals to every effect in a catalogue."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,8 +30,8 @@ class ScanSensitivity:
     Parameters
     ----------
     columns : ndarray or None
-        Shape (k, q), or (g, k, q) at g places; None for an effect that does not act on the scan
-        or could not be simulated.
+        Derivatives of shape (k, q), or (g, k, q) at g places; None for an effect that does not act
+        on the scan or could not be simulated.
     idle : bool
         Whether the effect does not act on the scan.
     """
@@ -43,12 +43,12 @@ class ScanSensitivity:
 def scan_sensitivity(
     inverse: InverseProblem, at: SolvedFit, number: int, effect: Effect
 ) -> ScanSensitivity:
-    """Differentiate the residuals of one scan by the parameters of one effect.
+    """Differentiate the residuals of one scan with respect to the parameters of one effect.
 
     Two-sided effects use tangents. The response to one-sided effects is steepest at zero and then
-    saturates, so they use secants from neutral. A single parameter gets secants to a small
-    magnitude and to a prior standard deviation, treated like places. A localised effect gets a
-    column of its size for each place of a grid.
+    saturates, so they use secants from neutral. A single parameter uses secants to a small
+    magnitude and to a prior standard deviation, treated like places. A localised effect has one
+    column, for its size, at each place on a grid.
 
     Parameters
     ----------
@@ -68,12 +68,12 @@ def scan_sensitivity(
 def joined_sensitivity(
     effect: Effect, scans: Sequence[ScanSensitivity]
 ) -> EffectSensitivity | None:
-    """Join the sensitivities of all scans, one after another; zero where the effect is idle.
+    """Concatenate the sensitivities of all scans, with zeros where the effect is idle.
 
     Returns
     -------
     EffectSensitivity or None
-        None if the effect acts on no scan, or could not be simulated in some.
+        None if the effect acts on no scan, or could not be simulated in one of them.
     """
     acting = [one.columns for one in scans if one.columns is not None]
     if not acting or not all(one.columns is not None or one.idle for one in scans):
@@ -112,7 +112,7 @@ def _columns(
 def _at_places(
     inverse: InverseProblem, prediction: PredictedScan, effect: Effect, place: Place
 ) -> FloatArray:
-    """Return columns (g, k, q) for q sizes, by one-sided differences from the known forces."""
+    """Return columns (g, k, q) for q sizes, from one-sided differences of the known forces."""
     without, sizes = prediction.at.problem, range(effect.size_count)
     changes = []
     for offset in places_of(inverse, effect):
@@ -141,11 +141,11 @@ def _yielding(
     free: FloatArray,
     moved: FloatArray,
 ) -> float:
-    """Return the relative decrease in displacement due to a unit of springs.
+    """Return the relative decrease in displacement due to springs of unit stiffness.
 
     Springs k D reduce the load by k D u, with u the displacement; u then decreases by a factor of
     1 + k c with c = -u'D du/dk / u'Du, which is exact for a spring at one point of a linear body.
-    `free` are the springs without the change, (n, 3).
+    `free` holds the springs before the change, (n, 3).
     """
     u = prediction.at.solution.displacement_mm
     force = (spring_stiffness(inverse.model.finest, change.plus) - free) / change.step * u
@@ -186,9 +186,9 @@ def _simulated(
     step: float,
     starts: Sequence[Equilibrium],
 ) -> tuple[Equilibrium, float] | None:
-    """Return the equilibrium with one parameter off neutral, and the step, from one of `starts`.
+    """Return an equilibrium with one parameter off neutral, from one of `starts`, and the step.
 
-    If it cannot be simulated, the step is halved, so that an effect is not missed because its
+    If the step cannot be simulated, it is halved, so that an effect is not missed because its
     plausible size is too large for this body. Solving from a larger magnitude may fail even if
     solving from neutral does not.
     """

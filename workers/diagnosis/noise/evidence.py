@@ -1,17 +1,17 @@
-r"""Evidence of hypotheses, averaged over uncertain noise and coarsened.
+r"""Evidence for hypotheses, coarsened and averaged over uncertain noise.
 
 No model of a body is exact: another solver, mesh or contact model differs from it by more than the
 noise of an image. So hypotheses are weighed by how *near* they come to the data (the coarsened
-posterior of J. W. Miller and D. B. Dunson, JASA 114 (2019) 1113): the likelihood of the
-segmentation's noise is raised to a power zeta,
+posterior of J. W. Miller and D. B. Dunson, JASA 114 (2019) 1113): the likelihood under the
+segmentation noise is raised to a power zeta,
 
 .. math:: p(h | d) \propto p(h) \int p(d | \theta, h)^\zeta \, p(\theta | h) \, d\theta,
 
-as if that noise were 1 / sqrt(zeta) times as large.
+as if the noise were 1 / sqrt(zeta) times as large.
 
-The stated covariance factors interface by interface. One Cholesky factor for each correlation
-length whitens everything; scales, the numerical error and a smooth field only add systems of the
-size of their columns.
+The given covariance is block-diagonal in the interfaces. One Cholesky factor for each correlation
+length whitens everything; scales, the numerical error and a smooth field only add systems as large
+as their number of columns.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 
 class _Whitened:
-    """Columns in the space where the stated noise is white, with inner products by group."""
+    """Columns in the space where the given noise is white, with inner products by group."""
 
     def __init__(self, factor: FloatArray, masks: Sequence[FloatArray], columns: FloatArray):
         self.columns = np.asarray(solve_triangular(factor, columns, lower=True, check_finite=False))
@@ -46,14 +46,14 @@ class LinearHypothesis:
     Parameters
     ----------
     residual : ndarray, shape (m,)
-        In mm.
+        Residuals in mm.
     columns : ndarray, shape (m, p)
         Derivatives per prior standard deviation.
     offset : ndarray, shape (p,)
         Fit minus prior mean, in prior standard deviations.
     one_sided : ndarray of bool, shape (p,)
     is_pose : ndarray of bool, shape (p,)
-        Whether a column is a motion of a scan, whose prior deviation is averaged over.
+        Whether a column is a motion of a scan; its prior deviation is averaged over.
     at_bound : ndarray of int, shape (p,), optional
         Bounds at which parameters were stopped; see `diagnosis.algebra.evidence.log_marginal`.
     """
@@ -67,11 +67,11 @@ class LinearHypothesis:
 
     @property
     def sides(self) -> Sides:
-        """Bounds of the parameters and the side on which each must be."""
+        """Bounds of the parameters, and the side on which each parameter must be."""
         return sides(self.offset, self.one_sided, self.at_bound)
 
     def log_marginal(self, q: Quadratic) -> FloatArray:
-        """Return the log evidence of each misfit of a stack, shape (...)."""
+        """Return the log evidence of each misfit in a stack, shape (...)."""
         return log_marginal(q, self.offset, self.one_sided, self.at_bound)
 
     def with_errors(self, columns: FloatArray, *, are_poses: bool = False) -> "LinearHypothesis":
@@ -88,11 +88,12 @@ class LinearHypothesis:
 
 
 def with_pose_scales(q: Quadratic, is_pose: BoolArray) -> Quadratic:
-    """Return misfits for several prior scales of the poses, the stated one and smaller ones.
+    """Return misfits for several prior scales of the poses: the given scale and smaller ones.
 
-    Residuals determine the poses far better than the prior does, so poses cost each hypothesis the
-    same, whether needed or not. If the scans' headers are accurate, effects that move the body as
-    poses do would then be missed; see `workers.diagnosis.settings.values.PoseSettings.scales`.
+    Residuals determine the poses far better than the prior does, so poses cost every hypothesis the
+    same, whether needed or not. If the headers of the scans are accurate, effects that move the
+    body as poses do would then be missed; see
+    `workers.diagnosis.settings.values.PoseSettings.scales`.
     """
     if not is_pose.any():
         return q
@@ -116,9 +117,9 @@ class NoiseModel:
     states : sequence of NoiseState
         See `learnt_states`.
     fields : sequence of ndarray, shape (m, r)
-        A smooth field of unit amplitude for each of its lengths.
+        Columns of a smooth field of unit amplitude, for each of its lengths.
     amplitudes_mm : sequence of float
-        Amplitudes of the field; all pairs of length and amplitude are equally probable.
+        Amplitudes of the field; all combinations of length and amplitude are equally probable.
     coarsening : float
         The power zeta of the likelihood; 1 for an exact model.
     """
@@ -163,21 +164,21 @@ class NoiseModel:
         columns : ndarray, shape (m, p)
             Derivatives of the residuals per prior standard deviation, in mm.
         residual : ndarray, shape (m,)
-            In mm.
+            Residuals in mm.
         """
         return Products(self, np.column_stack([columns, residual]))
 
     def plain(self, products: "Products", states: Sequence[NoiseState] | None = None) -> Quadratic:
         """Return the misfit under every state of the noise, as a stack.
 
-        The determinants include the weights of the states, so the log evidences of a hypothesis
-        are combined by logsumexp.
+        The determinants include the weights of the states, so that logsumexp combines the log
+        evidences of a hypothesis.
 
         Parameters
         ----------
         products : Products
         states : sequence of NoiseState, optional
-            A subset of the states; by default all.
+            A subset of the states; all by default.
         """
         found = []
         for state in self.states if states is None else states:
@@ -191,8 +192,8 @@ class NoiseModel:
     def with_field(self, products: "Products") -> Quadratic:
         """Return the misfit with a smooth field in the noise, under the likeliest states.
 
-        See `plain`. Omitted states are compensated by their share when the noise was learnt, which
-        also included a smooth field.
+        See `plain`. Omitted states are compensated for by their share when the noise was learnt,
+        which also included a smooth field.
         """
         share = np.log(max(1, self._n_fields) * len(self.amplitudes_mm))
         share += np.log(sum(state.share for state in self.likeliest))
@@ -213,25 +214,26 @@ class NoiseModel:
     def log_evidence(
         self, at: LinearHypothesis, states: Sequence[NoiseState] | None = None
     ) -> float:
-        """Return the log evidence of a hypothesis, averaged over the states of the noise."""
+        """Return the log evidence of a hypothesis, averaged over the noise states."""
         return _joined(self.plain(self.products(at.columns, at.residual), states), at)
 
     def log_evidences_with_errors(
         self, at: LinearHypothesis, errors: FloatArray, sizes: Sequence[float]
     ) -> tuple[list[float], list[float] | None]:
-        """Return the log evidence of a hypothesis with errors of several sizes.
+        """Return the log evidences of a hypothesis with errors of several sizes.
 
         Parameters
         ----------
         at : LinearHypothesis
         errors : ndarray, shape (m, q)
-            Columns of unit deviation for an error of size one.
+            Columns of unit deviation for errors of size one.
         sizes : sequence of float
 
         Returns
         -------
         list of float, list of float or None
-            Without and with a smooth field in the noise; None if no field can be tried.
+            Log evidences without and with a smooth field in the noise; None if no field can be
+            tried.
         """
         wide = at.with_errors(errors)
         products = self.products(wide.columns, wide.residual)
@@ -258,7 +260,7 @@ class NoiseModel:
     def _quadratic(
         self, state: NoiseState, own: FloatArray, factor: FloatArray, X: FloatArray
     ) -> Quadratic:
-        """Return the misfit from products of all columns, the last of which is the residual."""
+        """Return the misfit from the products of all columns, the last of which is the residual."""
         Y = solve_triangular(factor, X, lower=True, check_finite=False)
         left = own - Y.T @ Y
         return Quadratic(
@@ -278,7 +280,7 @@ class NoiseModel:
         return _Whitened(self._factors[length], self._masks, columns)
 
     def _weights(self, state: NoiseState) -> FloatArray:
-        """Return the coarsened precision of each group over the stated one, shape (groups,)."""
+        """Return the ratio of coarsened to given precision of each group, shape (groups,)."""
         return np.asarray(self._power / state.scales**2)
 
     def _scale(self, state: NoiseState) -> FloatArray:
@@ -313,13 +315,13 @@ class NoiseModel:
 
 
 class Products:
-    """Inner products of a hypothesis's columns, cached for each correlation length.
+    """Inner products of the columns of a hypothesis, cached for each correlation length.
 
     Parameters
     ----------
     noise : NoiseModel
     columns : ndarray, shape (m, p + 1)
-        The last one is the residual.
+        Columns, the last of which is the residual.
     """
 
     def __init__(self, noise: NoiseModel, columns: FloatArray) -> None:
@@ -327,7 +329,7 @@ class Products:
         self._found: dict[int, tuple[_Whitened, list[FloatArray], list[FloatArray]]] = {}
 
     def under(self, length: int) -> tuple[_Whitened, list[FloatArray], list[FloatArray]]:
-        """Return whitened columns, and their products with each other and with nuisances."""
+        """Return the whitened columns, and their products with each other and with nuisances."""
         found = self._found.get(length)
         if found is None:
             white = self._noise.white(length, self._columns)

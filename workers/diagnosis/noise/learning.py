@@ -1,10 +1,11 @@
 """Estimation of the amplitude and correlation length of the noise from unexplained residuals.
 
-The scales follow from the residuals that no constant, nuisance or smooth field explains, by the
-fixed point of restricted maximum likelihood, ``s^2 = |e|^2 / tr (I - H)^2`` for each interface,
+The scales are estimated from the residuals that no constant, nuisance or smooth field explains, as
+the fixed point of restricted maximum likelihood, ``s^2 = |e|^2 / tr (I - H)^2`` for each interface,
 with H the hat matrix of all these columns (D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320). This
 matches the residuals e to their expectation under noise alone, so a strong effect is not mistaken
-for noise. A thousand residuals determine a scale to a few per cent, so it is fixed at its optimum.
+for noise. A thousand residuals determine a scale to within a few per cent, so it is fixed at its
+optimum.
 """
 
 from collections.abc import Sequence
@@ -25,17 +26,17 @@ def learnt_states(
 ) -> list[NoiseState]:
     """Return the noise states to average over.
 
-    Scales are at their optimum for every length and size of the numerical error. The likeliest
-    state comes first; states far less likely are omitted.
+    The scales are optimal for each length and size of the numerical error. The likeliest state
+    comes first; far less likely states are omitted.
 
     Parameters
     ----------
     parts : NoiseParts
     columns : ndarray, shape (m, p)
-        Derivatives of the residuals by the constants, per prior standard deviation.
+        Derivatives of the residuals with respect to the constants, per prior standard deviation.
     residual : ndarray, shape (m,)
     field : ndarray, shape (m, r)
-        Columns of a smooth field of middle amplitude, which absorbs a possible gap.
+        Columns of a smooth field of medium amplitude, which absorbs a possible gap.
     """
     settings = SETTINGS.noise
     groups = int(parts.groups.max()) + 1
@@ -70,9 +71,9 @@ def learnt_states(
 
 
 def _optimum(grams: Sequence[FloatArray], counts: IntArray, scales: FloatArray) -> FloatArray:
-    """Return the scale of each group by the fixed point of restricted maximum likelihood.
+    """Return the scale of each group, the fixed point of restricted maximum likelihood.
 
-    The prior of its logarithm acts like additional residuals. The last row and column of the
+    The prior on its logarithm acts like additional residuals. The last row and column of the
     products belong to the residual.
     """
     settings = SETTINGS.noise
@@ -97,7 +98,7 @@ def _optimum(grams: Sequence[FloatArray], counts: IntArray, scales: FloatArray) 
 
 
 def _inverse(positive: FloatArray) -> FloatArray:
-    """Return the inverse of a positive definite matrix, twice as fast as a general inverse."""
+    """Return the inverse of a positive definite matrix, twice as fast as the general inverse."""
     factor, _ = dpotrf(positive, lower=1)
     found, _ = dpotri(factor, lower=1)
     return np.asarray(np.tril(found) + np.tril(found, -1).T)

@@ -4,9 +4,9 @@ The covariance of the residuals is
 
 .. math:: C = S C_0(l) S + N N' + \tau^2 M M',
 
-with the covariance C_0 stated in the case, of correlation length l; scales S of the segmentation,
+with the covariance C_0 given in the case, of correlation length l; scales S of the segmentation,
 one for each interface; N the columns of `diagnosis.noise.nuisances` for poses and contour bias, and
-M the columns of the numerical error. Scales, l and tau have priors around the stated or assumed
+M the columns of the numerical error. Scales, l and tau have priors around the given or assumed
 values; `workers.diagnosis.noise.learning` finds their likely values, and
 `workers.diagnosis.noise.evidence` averages the evidence of a hypothesis over them.
 """
@@ -27,24 +27,25 @@ class NoiseParts:
     Parameters
     ----------
     stated : tuple of ndarray, shape (m, m)
-        Covariance of the segmentation for each correlation length; residuals of different
-        groups do not correlate.
+        Covariance of the segmentation for each correlation length; residuals of different groups
+        are uncorrelated.
     lengths : tuple of float
-        These lengths divided by the stated one.
+        Correlation lengths divided by the given length.
     groups : ndarray of int, shape (m,)
         Interface of each residual; residuals of one interface share a scale.
     fixed : ndarray, shape (m, q)
         Columns of nuisances.
     numerical : ndarray, shape (m, r)
-        Columns of the numerical error, of the assumed size.
+        Columns of the numerical error at its assumed size.
     uneven : ndarray, shape (m,), optional
-        Segmentation noise at each residual relative to the middle of the body, already included in
-        `stated`; see `workers.diagnosis.noise.uneven`. None if it is not learnt.
+        Segmentation noise of each residual relative to the noise in the middle of the body, already
+        included in `stated`; see `workers.diagnosis.noise.uneven`. None if uneven noise was not
+        learnt.
 
     Raises
     ------
     InputError
-        If shapes disagree.
+        If shapes do not match.
     """
 
     stated: tuple[FloatArray, ...]
@@ -59,23 +60,23 @@ class NoiseParts:
         shapes = {one.shape for one in self.stated} | {(m, len(self.numerical))}
         if shapes != {(m, m)} or len(self.fixed) != m or len(self.lengths) != len(self.stated):
             raise InputError(
-                f"The noise of {m} residuals needs covariances ({m}, {m}), one for each length, "
-                f"and columns of {m} rows; found {shapes}, {len(self.lengths)} lengths and "
+                f"The noise of {m} residuals needs covariances of shape ({m}, {m}), one for each "
+                f"length, and columns of {m} rows; found {shapes}, {len(self.lengths)} lengths and "
                 f"{len(self.fixed)} rows."
             )
 
     @property
     def size(self) -> int:
-        """Number of residuals m."""
+        """The number of residuals, m."""
         return len(self.groups)
 
     @property
     def factors(self) -> FloatArray:
-        """Noise at each residual relative to the middle of the body, shape (m,)."""
+        """Noise of each residual relative to the noise in the middle of the body, shape (m,)."""
         return np.ones(self.size) if self.uneven is None else self.uneven
 
     def scatter(self, length: int, scales: FloatArray, numerical: float) -> FloatArray:
-        """Return the covariance of segmentation and numerical error, shape (m, m)."""
+        """Return the covariance of segmentation and numerical errors, shape (m, m)."""
         s = scales[self.groups]
         found = self.stated[length] * s[:, None] * s
         return np.asarray(found + numerical**2 * self.numerical @ self.numerical.T)
@@ -90,9 +91,9 @@ class NoiseState:
     length : int
         Index of the correlation length.
     scales : ndarray, shape (groups,)
-        Standard deviation of the segmentation divided by the stated one.
+        Standard deviation of the segmentation divided by the given value.
     numerical : float
-        Numerical error divided by the assumed one.
+        Numerical error divided by its assumed value.
     log_weight : float
         Log prior of the state.
     share : float
@@ -114,7 +115,7 @@ class LearntNoise:
     ----------
     parts : NoiseParts
     states : tuple of NoiseState
-        The likeliest first; see `learnt_states`.
+        States, the likeliest first; see `learnt_states`.
     """
 
     parts: NoiseParts
@@ -133,11 +134,11 @@ class LearntNoise:
 
 
 def believed(parts: NoiseParts) -> LearntNoise:
-    """Return known noise: the stated one, with a numerical error of the assumed size."""
+    """Return the noise as given in the case, with a numerical error of the assumed size."""
     scales = np.ones(int(parts.groups.max()) + 1)
     return LearntNoise(parts, (NoiseState(parts.lengths.index(1.0), scales, 1.0, 0.0),))
 
 
 def weighted_sum(weights: FloatArray, parts: Sequence[FloatArray]) -> FloatArray:
-    """Return the weighted sum of matrices of one shape."""
+    """Return the weighted sum of matrices of equal shape."""
     return np.asarray(sum(w * part for w, part in zip(weights, parts, strict=True)))

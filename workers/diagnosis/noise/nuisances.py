@@ -1,13 +1,13 @@
 r"""Nuisances that change residuals without a gap, as columns with a normal prior of unit deviation.
 
-Every hypothesis includes them, even "no gap": changes that they can absorb are no evidence.
+Every hypothesis includes them, even "no gap": changes that they can absorb are not evidence.
 
-- **Pose**: each scan may be offset from the position in its header by the error of registration:
-  six rigid columns for each scan. The scan at rest errs as much; as the points are taken from it,
-  its error is common to all loaded scans.
-- **Drawing**: an interface may be drawn too large or too small as a whole, in one scan or in all.
-- **Numerical error**: another mesh, element or contact model moves the interfaces smoothly, by an
-  amount that grows with their displacement and in a pattern that depends on the load direction.
+- **Pose**: each scan may be offset from the position in its header by a registration error, with
+six rigid columns for each scan. The scan at rest has an equal error; since the points are taken
+from it, that error is common to all loaded scans. - **Drawing**: an interface may be drawn too
+large or too small as a whole, in one scan or in all scans. - **Numerical error**: another mesh,
+element or contact model moves the interfaces smoothly, by an amount that grows with their
+displacement, in a pattern that depends on the load direction.
 """
 
 from collections.abc import Sequence
@@ -27,9 +27,9 @@ def pose_columns(
     shift_sd_mm: float,
     turn_sd_deg: float,
 ) -> FloatArray:
-    """Return the derivatives of all residuals by uncorrelated poses, shape (s k, 6 s).
+    """Return derivatives of all residuals with respect to uncorrelated poses, shape (s k, 6 s).
 
-    `correlated` turns these poses into those of the scans.
+    `correlated` converts these poses to the poses of the scans.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def pose_columns(
     centre_mm : tuple of float
         Centre of rotation of a scan.
     shift_sd_mm, turn_sd_deg : float
-        Along and about each axis; zero for scans in exact position.
+        Standard deviations along and about each axis; zero for scans in their exact position.
     """
     sd = np.repeat([shift_sd_mm, turn_sd_deg], 3)
     each = [rigid_columns(p, n, centre_mm) * sd for p, n in zip(points, normals, strict=True)]
@@ -47,7 +47,7 @@ def pose_columns(
 
 
 def correlated(poses: FloatArray) -> FloatArray:
-    """Return the poses of s scans relative to the scan at rest, from uncorrelated ones, (s, 6).
+    """Return the poses of s scans relative to the scan at rest, from uncorrelated poses, (s, 6).
 
     Both are in prior standard deviations of the pose of one scan.
     """
@@ -55,7 +55,7 @@ def correlated(poses: FloatArray) -> FloatArray:
 
 
 def _pose_factor(scans: int) -> FloatArray:
-    """Return the Cholesky factor of the poses' covariance: own errors plus a common one."""
+    """Return the Cholesky factor of the poses' covariance: own errors plus a common error."""
     return np.asarray(np.linalg.cholesky(np.eye(scans) + 1.0))
 
 
@@ -71,7 +71,8 @@ def drawing_columns(
     scans : int
         Number s of scans.
     common_sd_mm, each_sd_mm : float
-        Bias common to all scans (from the reference scan), and bias of each scan.
+        Standard deviations of the bias common to all scans (from the reference scan), and of each
+        scan's own bias.
     """
     own = np.equal.outer(interface, np.unique(interface)).astype(np.float64)
     common = np.tile(own, (scans, 1))
@@ -94,13 +95,13 @@ def smooth_columns(
     Parameters
     ----------
     points, normals : ndarray, shape (m, 3)
-        For each residual.
+        Point and unit normal of each residual.
     states : ndarray of int, shape (m,)
     sd_mm : ndarray, shape (m,)
         Standard deviation s of the displacement.
     length_mm : float
     state_correlation : float or ndarray, shape (s, s)
-        Correlation T between any two states, or for each pair; 1 within a state.
+        Correlation T between any two states, or between each pair; 1 within a state.
     tolerance : float
         Fraction of a variance that may be neglected.
     """

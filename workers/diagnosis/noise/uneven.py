@@ -1,10 +1,10 @@
 """Estimation of noise that varies from one end of the body to the other.
 
-The standard deviation of the segmentation is ``s exp(b t)``, with s of each interface and t the
+The standard deviation of the segmentation is ``s exp(b t)``, with s for each interface and t the
 position along each axis, -1 and 1 at the ends of the body. It changes little over a correlation
-length, so residuals whitened by the stated covariance retain it as their own deviation, and their
-squares follow a regression with a logarithmic link (G. K. Smyth, J. R. Stat. Soc. B 51 (1989) 47).
-As in `workers.diagnosis.noise.learning`, only unexplained residuals are used.
+length, so it remains as the standard deviation of the residuals whitened by the given covariance,
+and their squares follow a regression with a logarithmic link (G. K. Smyth, J. R. Stat. Soc. B 51
+(1989) 47). As in `workers.diagnosis.noise.learning`, only unexplained residuals are used.
 """
 
 from dataclasses import replace
@@ -20,18 +20,18 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 def with_uneven_noise(
     parts: NoiseParts, places: FloatArray, columns: FloatArray, residual: FloatArray
 ) -> NoiseParts:
-    """Return noise that varies across the body as the residuals do.
+    """Return noise whose size varies across the body as the residuals do.
 
     Parameters
     ----------
     parts : NoiseParts
-        With uniform noise.
+        Noise of uniform size.
     places : ndarray, shape (m, 3)
         Points at rest, in mm.
     columns : ndarray, shape (m, p)
         Other possible explanations of the residuals, per prior deviation.
     residual : ndarray, shape (m,)
-        In mm.
+        Residuals in mm.
     """
     ends = places.min(axis=0), places.max(axis=0)
     t = (places - (ends[0] + ends[1]) / 2) / np.maximum((ends[1] - ends[0]) / 2, 1e-9)
@@ -64,7 +64,7 @@ def _slopes(white: FloatArray, of_interface: BoolArray, t: FloatArray) -> FloatA
         A, r = X / s[:, None], y / s
         inverse = np.linalg.inv(np.eye(A.shape[1]) + A.T @ A)
         left = r - A @ (inverse @ (A.T @ r))
-        # Diagonal of (I - H)^2: the share of the noise variance left at each residual.
+        # Diagonal of (I - H)^2: the fraction of the noise variance left in each residual.
         kept = 1.0 - ((A @ (inverse + inverse @ inverse)) * A).sum(axis=1)
         score = design.T @ (left**2 - kept) - prior @ theta
         step = np.linalg.solve(2.0 * (design * kept[:, None]).T @ design + prior, score)

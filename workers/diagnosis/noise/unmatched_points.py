@@ -1,19 +1,19 @@
 """Points on interfaces without a counterpart in a scan.
 
-They are on a piece of tissue that is included in one segmentation and missing in another.
+They are on a piece of tissue that is included in one segmentation but missing from another.
 
 No deformation moves one point by millimetres and leaves its neighbours in place. Residuals are
 therefore fitted by constants, poses and a smooth displacement, with least squares reweighted to
 limit the influence of single points (Huber's weights) and then to remove it (Tukey's biweight; P.
-J. Huber, Robust Statistics, 1981). Points far off this fit have no counterpart. The same holds for
-a small piece of interface, or for neighbours, far off their prediction from all other points: a
-piece present only in the scan at rest is off in every other scan, each time by no more than a
-single point might be. One such point of 12 mm among a thousand would rule out every cause in the
-catalogue.
+J. Huber, Robust Statistics, 1981). Points far from this fit have no counterpart. The same holds for
+a small piece of an interface, or for neighbouring points, far from their prediction from all other
+points: a piece present only in the scan at rest is off in every other scan, though in each by no
+more than a single point might be. One such point, 12 mm off, among a thousand would rule out every
+cause in the catalogue.
 
-An almost unconstrained displacement follows a few points that have no others nearby. Small groups
-far off the fit by constants and poses are therefore compared once more with all other points, under
-a displacement of usual size.
+A smooth displacement can follow a few points that have no others nearby. Small groups far from the
+fit by constants and poses are therefore compared once more with all other points, under a
+displacement of usual size.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -30,7 +30,7 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 # Standard deviation of a normal distribution divided by the median of its absolute values.
 SD_OF_MEDIAN = 1.4826
-# Log probability of a residual as far off, on either side.
+# Log probability of a residual that is as far off, on either side.
 _LOG_FAR = float(np.log(2.0) + log_ndtr(-SETTINGS.unmatched.far))
 
 
@@ -49,15 +49,15 @@ def matched(
     points : InterfacePoints
         The k points compared in each of s scans.
     covariance : ndarray, shape (s k, s k)
-        Stated covariance of the noise, in mm^2.
+        Given covariance of the noise, in mm^2.
     columns : ndarray, shape (s k, q)
-        Derivatives by constants and poses, per prior standard deviation.
+        Derivatives with respect to constants and poses, per prior standard deviation.
     smooth : ndarray, shape (s k, r)
         Columns of an unlisted displacement of usual size.
     residual : ndarray, shape (s k,)
-        In mm.
+        Residuals in mm.
     beside_mm : float
-        Radius around an outlier in which other points may be off for the same reason.
+        Radius around an outlier within which other points may be off for the same reason.
     """
     settings = SETTINGS.unmatched
     interface = np.tile(points.interface, len(residual) // len(points))
@@ -80,7 +80,7 @@ def _off_all_others(
 ) -> tuple["_Fit", BoolArray]:
     """Return a fit without outliers, and the outliers in each scan, shape (s, k).
 
-    Outliers are small pieces as a whole; then single points, neighbours that are improbable
+    Outliers are, first, whole small pieces; then single points, neighbours that are improbable
     together, and doubtful points near either.
     """
     settings, scans = SETTINGS.unmatched, len(fit.residual) // len(points)
@@ -102,7 +102,7 @@ def _off_all_others(
 def _far_groups(
     points: InterfacePoints, plain: "_Fit", shown: BoolArray, beside_mm: float
 ) -> list[IntArray]:
-    """Return small groups of neighbours far off the fit by constants and poses."""
+    """Return small groups of neighbours far from the fit by constants and poses."""
     far = (np.abs(plain.away) / plain.scale).reshape(-1, len(points)).max(axis=0)
     which = np.flatnonzero(shown & (far > SETTINGS.unmatched.far)).astype(np.int32)
     tree = KDTree(points.points[which].reshape(-1, 3))
@@ -113,13 +113,13 @@ def _far_groups(
 
 
 def _as_large_as_seen(smooth: FloatArray, displacement: FloatArray) -> float:
-    """Return the size of a displacement, (s k,), relative to the usual one; at least one."""
+    """Return the size of a displacement, (s k,), relative to the usual size; at least one."""
     common = float(np.sqrt((smooth**2).sum(axis=1).mean()))
     return max(1.0, float(np.sqrt((displacement**2).mean())) / common)
 
 
 def _improbable_together(fit: "_Fit", far: FloatArray, around: Sequence[IntArray]) -> BoolArray:
-    """Find points that are slightly off in all scans together with their neighbours, (k,)."""
+    """Find points that, like their neighbours, are slightly off in all scans, (k,)."""
     doubtful = np.asarray((far > SETTINGS.unmatched.beside).any(axis=0))
     found = np.zeros(len(doubtful), np.bool_)
     for one in np.flatnonzero(doubtful).tolist():
@@ -139,14 +139,14 @@ def _small_pieces(points: InterfacePoints) -> Iterator[IntArray]:
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """Residuals of points in a fit to all others, (s, n) in mm, with their covariance."""
+    """Residuals of points in a fit to all other points, (s, n) in mm, with their covariance."""
 
     away: FloatArray
     covariance: FloatArray
 
     @property
     def is_far(self) -> bool:
-        """Whether most points are far off in some scan."""
+        """Whether most points are far off in any scan."""
         relative = np.abs(self.away) / np.sqrt(np.diag(self.covariance)).reshape(self.away.shape)
         return bool(np.median(relative, axis=1).max() > SETTINGS.unmatched.far)
 
@@ -173,12 +173,12 @@ class _Fit:
 
     @property
     def stated_mm(self) -> FloatArray:
-        """Stated standard deviation of each residual."""
+        """Given standard deviation of each residual."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def scale(self) -> FloatArray:
-        """Robust deviation of each residual's interface, in mm, with a plausible minimum."""
+        """Robust deviation on each residual's interface, in mm, with a plausible minimum."""
         stated_mm = self.stated_mm
         relative = np.abs(self.away / stated_mm)
         found = np.empty(len(relative))
@@ -189,7 +189,7 @@ class _Fit:
         return np.asarray(np.maximum(found, SETTINGS.unmatched.least_scale) * stated_mm)
 
     def reweighted(self, weigh: Callable[[FloatArray], FloatArray]) -> "_Fit":
-        """Return the fit under new weights, starting from the residuals of this one."""
+        """Return the fit under new weights, starting from the residuals of this fit."""
         at, before = self, np.full(len(self.residual), np.inf)
         for _ in range(SETTINGS.unmatched.iterations):
             scale = at.scale
@@ -209,7 +209,7 @@ class _Fit:
         return fit.reweighted(_biweight)
 
     def judged_by_others(self, piece: IntArray, scans: int) -> _Judged:
-        """Return the residuals of some points in a fit to all others, in all scans."""
+        """Return the residuals of some points in a fit to all other points, in all scans."""
         assert self.weights is not None
         rows = (np.arange(scans)[:, None] * (len(self.residual) // scans) + piece).ravel()
         weights = self.weights.copy()

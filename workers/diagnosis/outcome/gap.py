@@ -1,6 +1,6 @@
-r"""The gap in mm: the difference between model and image beyond the noise.
+r"""The gap in mm: the difference between model and image in excess of the noise.
 
-The mean square of a residual beyond its noise,
+The mean square of a residual in excess of its noise,
 
 .. math:: E = \overline{r_{fit}^2} - \overline{\mathrm{noise}^2},
 
@@ -14,8 +14,8 @@ squared floor plus the part of E beyond chance,
 
 .. math:: G^2 = G_0^2 + \frac{E_+^3}{E^2 + (2 s)^2},
 
-which is half of E if E is 2 s: a smooth form of the garrote of L. Breiman, Technometrics 37 (1995)
-373. Without a floor it is the positive part of E.
+whose second term is half of E if E is 2 s: a smooth form of the garrote of L. Breiman,
+Technometrics 37 (1995) 373. Without a floor, G^2 is the positive part of E.
 """
 
 from collections.abc import Sequence
@@ -37,11 +37,11 @@ class Gap:
     Parameters
     ----------
     gap_mm : float
-        Equal to the floor, if any, where the residual is no larger than the noise.
+        The gap; equal to the floor, if any, where the residual is no larger than the noise.
     low_mm, high_mm : float
-        Interval.
+        Interval of the gap.
     excess_mm2 : float
-        Mean square of the residual beyond its noise; may be negative, and can be averaged.
+        Mean square of the residual in excess of its noise; may be negative, and can be averaged.
     sd_mm2 : float
         Standard deviation of `excess_mm2`.
     noise_mm : float
@@ -66,11 +66,11 @@ def gap(fit: LinearFit, rows: BoolArray | None = None, floor_mm: float = 0.0) ->
     ----------
     fit : LinearFit
     rows : ndarray of bool, shape (judged,), optional
-        A region, an interface or a state; by default all.
+        A region, an interface or a state; all residuals by default.
     floor_mm : float
-        Gap of the calibrated model on images of its own, from causes outside the linearised
-        noise such as another mesh. Added in quadrature; the ends of the interval use the parts
-        given by `floor_range` of the settings.
+        Gap of the calibrated model on its own images, from causes outside the linearised noise,
+        such as another mesh. Added in quadrature; the ends of the interval use the fractions given
+        by `floor_range` in the settings.
 
     Raises
     ------
@@ -93,9 +93,9 @@ def gap(fit: LinearFit, rows: BoolArray | None = None, floor_mm: float = 0.0) ->
 
 
 def pooled(parts: Sequence[Gap], floor_mm: float = 0.0) -> Gap:
-    """Return the pooled gap of several sets of points, possibly of different fits.
+    """Return the pooled gap of several sets of points, possibly from different fits.
 
-    Their errors are assumed fully correlated, as all share the reference scan.
+    Their errors are assumed to be fully correlated, because all share the reference scan.
     """
     n = np.array([part.points for part in parts], dtype=np.float64)
     excess, sd, noise2 = (
@@ -108,9 +108,10 @@ def pooled(parts: Sequence[Gap], floor_mm: float = 0.0) -> Gap:
 
 
 def without_effect(before: Gap, after: Gap, floor_mm: float = 0.0) -> Gap:
-    """Return the gap of a model without an effect, relative to the gap of the model with it.
+    """Return the gap of a model without an effect, computed from the gap of the model with it.
 
-    Noise cancels in the difference of their squares, so it is far more precise than either.
+    Noise cancels in the difference between their squares, so the difference is far more precise
+    than either.
     """
     beyond = credited(after.excess_mm2, after, floor_mm)
     square = float(beyond) + before.excess_mm2 - after.excess_mm2
@@ -118,13 +119,13 @@ def without_effect(before: Gap, after: Gap, floor_mm: float = 0.0) -> Gap:
 
 
 def credited(excess_mm2: FloatArray | float, of: Gap, floor_mm: float) -> FloatArray:
-    """Return the part of an excess mean square that is beyond chance, in mm2.
+    """Return the part of an excess mean square that is beyond chance, in mm^2.
 
     Parameters
     ----------
     excess_mm2 : float or ndarray
     of : Gap
-        The gap with the standard deviation and noise of `excess_mm2`.
+        Gap that holds the standard deviation and noise of `excess_mm2`.
     floor_mm : float
         If zero, the positive part of the excess is credited in full.
     """
@@ -153,7 +154,7 @@ def _between(of: Gap, square_mm2: float, floor_mm: float) -> Gap:
 
 
 def _whole_sd(of: Gap, floor_mm: float) -> float:
-    """Return the standard deviation of the excess; with a floor, noise is uncertain too."""
+    """Return the standard deviation of the excess; with a floor, the noise is uncertain too."""
     wrong = SETTINGS.gap.noise_variance_sd * of.noise_mm**2 if floor_mm else 0.0
     return float(np.hypot(of.sd_mm2, wrong))
 

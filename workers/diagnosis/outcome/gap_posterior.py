@@ -1,11 +1,11 @@
-"""Posterior of the distance between models and the body, averaged over all possible causes.
+"""Posterior of the distances between models and the body, averaged over all possible causes.
 
 A hypothesis predicts the position of the body: the interfaces of its fit, with a normal posterior
-of its constants and effects, their form errors and, if included, a smooth field. The distance of
-another model from there is the error of that model if the hypothesis is true. Drawn in proportion
-to the probabilities of the hypotheses and over the possible noise, these distances are the
-posterior of the gap (J. A. Hoeting et al., Stat. Sci. 14 (1999) 382). An uncertain cause therefore
-contributes only in proportion to its probability.
+over its constants and effects, their form errors and, if included, a smooth field. The distance of
+another model from that position is the error of that model if the hypothesis is true. Drawn in
+proportion to the probabilities of the hypotheses, and over the possible noise, these distances are
+the posterior of the gap (J. A. Hoeting et al., Stat. Sci. 14 (1999) 382). An uncertain cause
+therefore contributes only in proportion to its probability.
 
 Poses of the scans and the bias of their contours are integrated out and do not count as a gap.
 """
@@ -30,16 +30,16 @@ from palpate.workers.diagnosis.verdict.hypotheses import Case
 
 @dataclass(frozen=True, eq=False)
 class GapDraws:
-    """Distances of models from the body along its interfaces, drawn from their posterior.
+    """Distances of models from the body on its interfaces, drawn from their posterior.
 
     Parameters
     ----------
     before : ndarray, shape (m, n)
         Signed distances of the nominal model in mm, for each residual and draw.
     after : ndarray, shape (m, n), or None
-        With the named effects; None if there are none.
+        Signed distances of the model with the named effects; None if there are none.
     floors_mm : ndarray, shape (n,)
-        Drawn errors common to all models.
+        Draws of the errors common to all models.
     """
 
     before: FloatArray
@@ -67,7 +67,7 @@ def draw_gaps(
     named: Fit | None,
     floor_mm: float,
 ) -> GapDraws:
-    """Draw distances of the nominal model, and of one with the named effects, from the body.
+    """Draw distances from the body of the nominal model and of a model with the named effects.
 
     Parameters
     ----------
@@ -75,12 +75,12 @@ def draw_gaps(
     fits : mapping of tuple of str to Fit
         Joint fits of effects and constants.
     probabilities : mapping of Case to float
-        Probability of each hypothesis. One whose effects were not fitted counts as a smooth field
-        or, if the constants hide them, as the nominal model.
+        Probability of each hypothesis. A hypothesis whose effects were not fitted counts as a
+        smooth field or, if the constants hide the effects, as the nominal model.
     named : Fit or None
-        One of `fits`.
+        The one of `fits` with the named effects.
     floor_mm : float
-        Error common to all models, from the mesh and the segmentation of the body.
+        Error common to all models, due to the mesh and the segmentation of the body.
     """
     settings = SETTINGS.gap
     rng = np.random.default_rng(settings.seed)
@@ -107,7 +107,7 @@ def _of_fitted(
     hidden: set[str],
     has_field: bool,
 ) -> dict[Case, float]:
-    """Return the probability of each fitted hypothesis, without the improbable ones."""
+    """Return the probabilities of the fitted hypotheses, omitting improbable ones."""
     found: dict[Case, float] = {}
     for (names, field), probability in probabilities.items():
         stands = (names, field)
@@ -119,7 +119,7 @@ def _of_fitted(
 
 
 def _shared_out(draws: int, weights: FloatArray) -> list[int]:
-    """Split the draws in proportion to the weights, rounded so that their sum is kept."""
+    """Split the draws in proportion to the weights, rounded so as to preserve their sum."""
     ends = np.rint(draws * np.cumsum(weights) / weights.sum()).astype(int)
     return np.diff(ends, prepend=0).tolist()
 
@@ -127,8 +127,8 @@ def _shared_out(draws: int, weights: FloatArray) -> list[int]:
 class _Beliefs:
     """Position of the body under a hypothesis, as the residuals of a model at that position.
 
-    A mixture of normal distributions over noise states, pose scales, sizes of the form errors,
-    and lengths and amplitudes of a smooth field.
+    It is a mixture of normal distributions over noise states, pose scales, sizes of the form
+    errors, and lengths and amplitudes of a smooth field.
     """
 
     def __init__(self, analysis: NominalAnalysis, at: Fit, acts: bool, field: bool) -> None:
@@ -180,7 +180,7 @@ class _Part:
 
 
 def _within_bounds(z: FloatArray, covariance: FloatArray, within: Sides) -> FloatArray:
-    """Move each parameter of the draws (p, n) in turn back to its bound where it is beyond.
+    """Move each parameter of the draws (p, n), in turn, back to its bound if it is beyond.
 
     The other parameters move to their conditional means, to preserve their correlation. A
     parameter that a later move pushes slightly beyond its bound stays there.
@@ -204,7 +204,7 @@ def _sizes(
 
 
 def _some(counts: NDArray[np.int64]) -> Iterator[tuple[int, int]]:
-    """Yield index and value of the nonzero counts."""
+    """Yield the index and value of each nonzero count."""
     return ((n, int(count)) for n, count in enumerate(counts) if count)
 
 

@@ -1,8 +1,8 @@
 """Posterior of the parameters of a joint fit, averaged over uncertain noise and poses.
 
-A fit assumes one noise state and the stated prior for the poses. If the actual pose errors are
+A fit assumes one noise state and the given prior for the poses. If the actual pose errors are
 smaller, the fit underestimates an effect that moves the body as a pose does. The mean for each
-noise state and pose scale is one Newton step away, and these means are weighted by their evidence.
+noise state and pose scale is one Newton step away; the means are weighted by their evidence.
 """
 
 from typing import NamedTuple
@@ -24,7 +24,7 @@ class ParameterPosterior(NamedTuple):
 
 
 def parameter_posterior(noise: NoiseModel, at: LinearHypothesis, u: Unknowns) -> ParameterPosterior:
-    """Return the posterior of the unknowns of a fit, linearised `at` that fit.
+    """Return the posterior of the unknowns of a fit, given its linearisation `at`.
 
     The means are clipped to the bounds.
     """

@@ -1,4 +1,4 @@
-"""Gap of one part of an interface, as a row of a summary."""
+"""Gap on one part of an interface, as a row of a summary."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 def region_gap(
     fit: LinearFit, chosen: BoolArray, scan: str, interface: str, region: str
 ) -> RegionGap:
-    """Return the gap of a region, from the chosen residuals of a fit, shape (m,)."""
+    """Return the gap in a region, from the selected residuals of a fit, shape (m,)."""
     found, residual = gap(fit, chosen), fit.residual[chosen]
     return RegionGap(
         scan=scan,

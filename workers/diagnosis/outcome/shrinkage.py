@@ -2,16 +2,16 @@ r"""Share of the squared gap that an effect removes: ``1 - G_with^2 / G_nominal^
 
 The interval is a parametric bootstrap in the linearised model. Its truth comes from the fits: the
 systematic part of the residual with the effect, scaled to the size of its gap, plus the change due
-to the effect. Each draw adds noise of covariance C, a floor from its range and an error of the
-noise variance; both models are refitted, and the interval is read from the quantiles of the shares.
-It is slightly wide for the share of one image, which varies together with its estimate.
+to the effect. Each draw adds noise of covariance C, a floor from its range and an error in the
+noise variance; both models are refitted, and the quantiles of the shares give the interval. It is
+slightly too wide for the share of one image, which varies together with its estimate.
 
-Fitted to some states and assessed on the others, the same number is the held-out share. Leaving
-out each state in turn assesses all of them, none by its own fit (cross-validation, M. Stone, J. R.
-Stat. Soc. B 36 (1974) 111). If the other states do not constrain a state, the linear model would
-extrapolate too far, and that state is not assessed.
+When fitted to some states and assessed on the others, the same number is the held-out share.
+Leaving out each state in turn assesses every state by a fit to the others (cross-validation, M.
+Stone, J. R. Stat. Soc. B 36 (1974) 111). If the other states do not constrain a state, the linear
+model would extrapolate too far, and that state is not assessed.
 
-The noise cancels in the difference of both squares, which is far more precise than either. The
+The noise cancels in the difference between both squares, which is far more precise than either. The
 square before is therefore the square after, as credited by `diagnosis.outcome.gap`, plus that
 difference.
 """
@@ -32,7 +32,7 @@ from palpate.workers.diagnosis.outcome.gap import Gap, credited, gap, pooled, wi
 from palpate.workers.diagnosis.settings.values import SETTINGS
 
 Pair = tuple[LinearFit, LinearFit]
-"""Without and with the effect."""
+"""Values without and with the effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +42,9 @@ class Shrinkage:
     Parameters
     ----------
     share : float
-        At most 1, negative where the effect makes the gap larger; nan without a gap.
+        Share, at most 1; negative where the effect makes the gap larger, nan without a gap.
     low, high : float
-        Interval; nan without a gap.
+        Interval of the share; nan without a gap.
     before, after : Gap
         Gap without and with the effect.
     """
@@ -57,7 +57,7 @@ class Shrinkage:
 
 
 class _Draws(NamedTuple):
-    """Noise of the residuals (m, n); errors of its variance and factors of the floor, (n,)."""
+    """Noise of the residuals (m, n); errors in its variance and factors of the floor, (n,)."""
 
     noise: FloatArray
     wrong: FloatArray
@@ -65,25 +65,25 @@ class _Draws(NamedTuple):
 
 
 class Comparison:
-    """Comparison of the nominal fit with one that includes the effect.
+    """Comparison of the nominal fit with a fit that includes the effect.
 
-    Quantities shared by all comparisons, above all the draws of the noise, are computed once.
+    Quantities shared by all comparisons, in particular the noise draws, are computed once.
 
     Parameters
     ----------
     nominal : Linearised
-        At the nominal fit.
+        Linearisation at the nominal fit.
     effect : Linearised
-        At the fit with the effect, whose parameters are added to the nominal ones; with the same
-        points, states and noise.
+        Linearisation at the fit with the effect, whose parameters are added to the nominal ones,
+        for the same points, states and noise.
     seed : int
-        The same seed gives the same interval.
+        Seed; equal seeds give equal intervals.
     floor_mm : float
-        As for `workers.diagnosis.outcome.gap.gap`.
+        See `workers.diagnosis.outcome.gap.gap`.
     judged : ndarray of bool, shape (m,), optional
-        Residuals that are distances; by default all.
+        Residuals that are distances; all by default.
     registered : int
-        Number of pose parameters, the last ones of both fits. Both use the values from the fit
+        Number of pose parameters, which come last in both fits. Both use their values from the fit
         with the effect to all residuals.
     draws : int
         Number of bootstrap draws, >= 20.
@@ -106,7 +106,7 @@ class Comparison:
     ) -> None:
         if nominal.size != effect.size or draws < 20:
             raise InputError(
-                "A shrinkage needs two fits of the same residuals and at least 20 draws, found "
+                "A shrinkage needs two fits to the same residuals and at least 20 draws, found "
                 f"{nominal.size} and {effect.size} residuals and {draws} draws."
             )
         self.nominal, self.effect, self.seed = nominal, effect, seed
@@ -121,20 +121,21 @@ class Comparison:
         Parameters
         ----------
         train, judge : ndarray of bool, shape (m,), optional
-            Residuals to fit and to assess; by default all, which gives the in-sample share.
+            Residuals to fit and to assess; all by default, which gives the in-sample share.
         """
         return self._compared([self._pair(train, self.judged if judge is None else judge)])
 
     def unseen(self, states: IntArray) -> tuple[Shrinkage | None, list[Shrinkage | None]]:
         """Return the held-out share of all states together and of each state.
 
-        It is None for a state that the fit to the others moves beyond the range of the linear
-        model (`unseen_reach` of the settings), and for the total if no state can be assessed.
+        It is None for a state that the fit to the others moves beyond the range of the linear model
+        (`unseen_reach` in the settings), and for the total if no state can be assessed.
 
         Parameters
         ----------
         states : ndarray of int, shape (m,)
-            Two or more different states; each is assessed by a fit to the others.
+            State of each residual; there must be at least two states, each assessed by a fit to the
+            others.
 
         Raises
         ------
@@ -143,7 +144,7 @@ class Comparison:
         """
         every = np.unique(states)
         if len(every) < 2:
-            raise InputError("To leave a state out, there must be two or more; found one.")
+            raise InputError("Leaving out a state requires two or more states; found one.")
         pairs = [self._pair(states != one, self.judged & (states == one)) for one in every]
         held = [pair if self._holds(pair) else None for pair in pairs]
         judged = [pair for pair in held if pair is not None]
@@ -151,14 +152,14 @@ class Comparison:
         return self._compared(judged) if judged else None, each
 
     def _holds(self, pair: Pair) -> bool:
-        """Check whether the fits move the assessed residuals within the range of linearity."""
+        """Return True if the fits keep the assessed residuals within the range of linearity."""
         limit = SETTINGS.gap.unseen_reach**2 * (self.nominal.residual[pair[0].judge] ** 2).mean()
         return all(
             ((fit.residual - fit.problem.residual[fit.judge]) ** 2).mean() <= limit for fit in pair
         )
 
     def _pair(self, train: BoolArray | None, judge: BoolArray | None) -> Pair:
-        """Return both fits, with the poses of the fit with the effect to all residuals."""
+        """Return both fits, with the poses from the fit with the effect to all residuals."""
         both, count = (self.nominal, self.effect), self.registered
         where = [
             Registration.by(self._whole, count, fit.residual) if count else None for fit in both
@@ -170,7 +171,7 @@ class Comparison:
         return without, along
 
     def _compared(self, pairs: Sequence[Pair]) -> Shrinkage:
-        """Compare fits without and with the effect, each on its part of the residuals."""
+        """Compare fits without and with the effect, each on its own part of the residuals."""
         without, along = zip(*pairs, strict=True)
         before, after = (pooled([gap(f) for f in fits], self.floor_mm) for fits in (without, along))
         before = without_effect(before, after, self.floor_mm)
@@ -209,7 +210,7 @@ class Comparison:
     def _without_noise(self) -> tuple[FloatArray, FloatArray]:
         """Estimated residuals of both models on an image without noise.
 
-        The residual with the effect is noise except for a part as large as the remaining gap.
+        The residual with the effect is noise, except for a part as large as the remaining gap.
         """
         left = self._whole.residual
         square = max(float((left**2).mean()), np.finfo(float).tiny)
@@ -227,7 +228,7 @@ def _excess(fits: Sequence[LinearFit], mean: FloatArray, noise: FloatArray) -> F
 
 
 def parts_of_floor(rng: np.random.Generator, draws: int) -> FloatArray:
-    """Draw factors of the floor: log-normal, with 90 % in their range."""
+    """Draw log-normal factors of the floor, 90 % of which are in `floor_range`."""
     ends = np.log(SETTINGS.gap.floor_range)
     return np.asarray(np.exp(rng.normal(ends.mean(), np.ptp(ends) / 2 / ndtri(0.95), draws)))
 

@@ -22,18 +22,18 @@ from palpate.workers.scan_threads import Each
 
 @dataclass(frozen=True, eq=False)
 class SourceContent:
-    """The content of a source as kept in the store, from which it can be recreated.
+    """The content of a source as stored, from which the source can be recreated.
 
     Parameters
     ----------
     kind : str
-        The class that recreates it; see `workers.tasks.sources`.
+        Name of the class that recreates the source; see `workers.tasks.sources`.
     record : mapping
         The text and numbers of its files, as JSON.
     volumes : mapping of str to Volume
-        Its scans.
+        Scans of the source.
     arrays : mapping of str to ndarray
-        Its other measurements.
+        Other measurements of the source.
     """
 
     kind: str
@@ -44,21 +44,21 @@ class SourceContent:
 
 @dataclass(frozen=True, eq=False)
 class FinishedStudy:
-    """Statements and stored results of a finished study.
+    """Specification and stored results of a finished study.
 
     Parameters
     ----------
     name : str
     case, target, score : mapping
-        As stated in the study.
+        Sections of the study file.
     parameters : mapping of str to (float, float)
         Searched intervals, in external names and units.
     best : mapping of str to float
-        Searched parameters of the best candidate, likewise; empty if there is none.
+        Searched parameters of the best candidate, in the same units; empty if there is none.
     reference, deformed
         The body at rest and the observed deformed body, in the representation of the organ.
     caveats : tuple of str
-        Statements shown first in every result of the study.
+        Caveats shown at the top of every result of the study.
     """
 
     name: str
@@ -73,7 +73,7 @@ class FinishedStudy:
 
 
 class HasContent(Protocol):
-    """An object that can be kept in a store."""
+    """An object whose content can be stored."""
 
     @property
     def content(self) -> SourceContent:
@@ -81,11 +81,11 @@ class HasContent(Protocol):
 
 
 class PlannedSource(HasContent, Protocol):
-    """A source that can be planned before it is scanned under load."""
+    """A source for which loaded scans can be planned before they are made."""
 
     @property
     def acquisition(self) -> Acquisition:
-        """Information available before the loaded scans."""
+        """The information available before the loaded scans."""
 
 
 @runtime_checkable
@@ -106,7 +106,7 @@ class PressedSource(Protocol):
 
     @property
     def segmentation_noise(self) -> SegmentationNoise:
-        """Errors of its segmentations."""
+        """Errors in the segmentations."""
 
 
 @runtime_checkable
@@ -121,11 +121,11 @@ class PreparedSource(Protocol):
         """
 
     def prepare(self, name: str, spacing_mm: float) -> Prepared:
-        """Prepare one part, for points `spacing_mm` apart."""
+        """Prepare one part, for points spaced `spacing_mm` apart."""
 
 
 class Source(HasContent, Protocol):
-    """An imaged or measured object with a model of it."""
+    """An imaged or measured object, with a model of it."""
 
     @property
     def name(self) -> str:
@@ -140,25 +140,25 @@ class Source(HasContent, Protocol):
         """Catalogue of effects that may be missing from the model."""
 
     def check(self) -> None:
-        """Check that the data can show one body in several states, before anything is fitted.
+        """Check, before anything is fitted, that the data can be one body in several states.
 
         Raises
         ------
         InputError
-            With the value found, the value expected and what to change.
+            If they cannot; names the value found, the value expected and what to change.
         """
 
     def inverse_problem(
         self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
     ) -> InverseProblem:
-        """Mesh the body with `nodes` and put points `spacing_mm` apart on it.
+        """Mesh the body with `nodes` nodes and place points `spacing_mm` apart on it.
 
         Parameters
         ----------
         nodes : int
         spacing_mm : float
         prepared : callable, optional
-            Returns a part made by `PreparedSource.prepare`; by default it is made here.
+            Returns a part made by `PreparedSource.prepare`; by default, the part is made here.
 
         Raises
         ------
@@ -177,7 +177,7 @@ class Source(HasContent, Protocol):
         prepared: ReadPrepared,
         each: Each = map,
     ) -> tuple[dict[str, NDArray[Any]], Summary]:
-        """Return the arrays for the report's pictures, and the summary with the source's rows.
+        """Return the arrays for the report's pictures, and the summary with added rows.
 
         Parameters
         ----------
@@ -185,7 +185,7 @@ class Source(HasContent, Protocol):
         displacements : mapping of str to sequence of ndarray
             See `workers.diagnosis.outcome.pictures.scan_pictures`.
         summary : Summary
-            Of the diagnosis, without these rows.
+            Summary of the diagnosis, without these rows.
         prepared : callable
             Returns a part made by `PreparedSource.prepare`.
         each : callable

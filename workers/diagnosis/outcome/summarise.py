@@ -1,4 +1,4 @@
-"""Summary of a diagnosis in plain numbers; see `diagnosis.schema.summary` for the schema."""
+"""Summary of a diagnosis in plain numbers; `diagnosis.schema.summary` has the schema."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -38,7 +38,8 @@ from palpate.workers.mechanics.parameters import Parameter
 from palpate.workers.mechanics.readings import shown
 from palpate.workers.units import KPA
 
-# Standard deviations of a normal distribution on either side of the mean that hold 90 %.
+# Number of standard deviations on either side of the mean that contain 90 % of a normal
+# distribution.
 DEVIATIONS_90 = 1.6449
 
 
@@ -117,7 +118,7 @@ def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
 def _parameters(
     diagnosis: Diagnosis, effect: Effect, names: tuple[str, ...]
 ) -> list[ParameterEstimate]:
-    """Return the parameters from the joint fit of `names` or else from the screening.
+    """Return the parameters from the joint fit of `names`, or else from the screening.
 
     Positions are in the coordinates of the scans.
     """
@@ -151,7 +152,7 @@ def _parameters(
 def _estimate_of(
     parameter: Parameter, value: float, sd: float, nu: float | None, *, is_size: bool
 ) -> ParameterEstimate:
-    """Return a parameter in external units; the place of an effect has no neutral value."""
+    """Return a parameter in external units; the location of an effect has no neutral value."""
     unit = parameter.unit
     at_door, spread = unit.to_door(value), unit.to_door(sd)
     neutral = unit.to_door(parameter.neutral or 0.0)
@@ -217,7 +218,7 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
 
 
 def _distances_mm(inverse: InverseProblem, fit: Fit) -> tuple[float, float]:
-    """Return the distances of the scans from a fit and from the body at rest; see `GapSummary`."""
+    """Return the distances from the scans to a fit and to the body at rest; see `GapSummary`."""
     rest = [
         scan.compare(inverse.followed(scan).points, inverse.points)[0] for scan in inverse.scans
     ]
@@ -240,15 +241,15 @@ def _interval(draws: FloatArray) -> tuple[float, float]:
 
 
 def known_shares(found: GapSummary, set90: Sequence[str]) -> GapSummary:
-    """Omit the shares if there may be no gap, as its shrinkage is then undefined."""
+    """Omit the shares if there may be no gap, because its shrinkage is then undefined."""
     return replace(found, share=None, held_out_share=None) if NO_GAP in set90 else found
 
 
 def _registered(diagnosis: Diagnosis) -> LinearFit:
-    """Return the nominal fit with the poses of the scans from the most probable cause.
+    """Return the nominal fit with the scan poses that follow from the most probable cause.
 
-    For an unlisted cause this is a smooth field; otherwise a tilted plate would be mistaken for a
-    rotated scan.
+    An unlisted cause is represented by a smooth field; otherwise a tilted plate would be mistaken
+    for a rotated scan.
     """
     analysis = diagnosis.analysis
     inverse, nominal = analysis.inverse, analysis.linear_with_poses
@@ -274,7 +275,7 @@ def _registered(diagnosis: Diagnosis) -> LinearFit:
 def _with_held_out(
     inside: GapSummary, inverse: InverseProblem, comparison: Comparison
 ) -> GapSummary:
-    """Add the gap of each scan for a fit to the others."""
+    """Add the gap of each scan under a fit to the others."""
     if len(inverse.scans) < 2:
         return replace(inside, held_out="one scan only")
     whole, parts = comparison.unseen(inverse.rows)
@@ -294,7 +295,7 @@ def _with_held_out(
 
 
 def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
-    """Return the error of even the true model; without it, gaps near zero would be too small.
+    """Return the error that even the true model has; without it, gaps near zero would be too small.
 
     It combines the fitted noise, the remaining mesh error (taken equal to the correction by a finer
     mesh), the segmentation error of the meshed body, and a factor for unknown contributions.
@@ -305,7 +306,7 @@ def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
 
 
 def _meshed_mm(inverse: InverseProblem) -> float:
-    """Return the known error common to all models: mesh and segmentation of the body."""
+    """Return the known error common to all models, due to mesh and segmentation of the body."""
     mesh = np.sqrt((inverse.bias[inverse.is_place] ** 2).mean())
     drawn = SETTINGS.gap.drawn_noises * inverse.noise.reference_sd_mm
     return float(np.hypot(mesh, drawn))

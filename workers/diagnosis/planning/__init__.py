@@ -1,1 +1,1 @@
-"""Planning of scans: their expected information."""
+"""Planning of scans, based on their expected information."""

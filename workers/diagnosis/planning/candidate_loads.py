@@ -1,10 +1,10 @@
-"""Planned loads and possible further ones.
+"""Planned loads and possible further loads.
 
-A further load by the same plates is lighter than the lightest or heavier than the heaviest planned
-one; a further view rotates the plates about z. A rotated force starts with the plates at the ends
-of the body; at a given distance, the plates close by the same share of the body. The chest wall is
-then held along x and y with the firmer of the two stiffnesses, since plates do not hold the body
-where they slide.
+A further load between the same plates is lighter than the lightest or heavier than the heaviest
+planned load; a further view rotates the plates about z. Rotated plates with a given force start at
+the ends of the body; rotated plates at a given distance close by the same share of the body. The
+chest wall is then held along x and y with the larger of its two stiffnesses, since plates do not
+hold the body where they slide.
 """
 
 from collections.abc import Callable, Sequence
@@ -38,9 +38,9 @@ class CandidateLoad:
     Parameters
     ----------
     name : str
-        As shown in a report.
+        Name shown in a report.
     kind : {"planned", "load", "view"}
-        A load of the case itself, a further load, or a further direction of the plates.
+        A load in the case itself, a further load, or a further direction of the plates.
     problem : callable
     """
 
@@ -52,7 +52,7 @@ class CandidateLoad:
 def candidate_loads(
     acquisition: Acquisition, frame: Frame, nodes_mm: FloatArray
 ) -> list[CandidateLoad]:
-    """Return the loads of an acquisition, in order, followed by possible further ones.
+    """Return the loads of an acquisition, in order, followed by possible further loads.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def candidate_loads(
 
 
 def pressed_by(load: Load, factor: float, nodes_mm: FloatArray) -> Load:
-    """Return the load with its force, or the closing of its plates, scaled by `factor`."""
+    """Return the load with its force, or the closure of its plates, scaled by `factor`."""
     if isinstance(load, ForceControl):
         return replace(load, force_n=factor * load.force_n)
     if isinstance(load, DistanceControl):
@@ -117,7 +117,7 @@ def turned_to(load: Load, axis: Triple, nodes_mm: FloatArray) -> Load:
 
 
 def held_alike(wall: Wall) -> Wall:
-    """Return the wall with its firmer tangential spring along x and along y."""
+    """Return the wall with its stiffer tangential spring along both x and y."""
     x, y, z = wall.spring_mpa_per_mm
     held = (wall.held[0] or wall.held[1],) * 2
     return Wall((*held, wall.held[2]), (max(x, y), max(x, y), z))
@@ -166,7 +166,7 @@ def _named(load: Load) -> str:
 
 
 def _strength(load: Load, nodes_mm: FloatArray) -> float:
-    """Return the strength of a load: its force, or the share by which the plates close."""
+    """Return the strength of a load: its force, or the fraction by which the plates close."""
     if isinstance(load, ForceControl):
         return load.force_n
     if isinstance(load, DistanceControl):
@@ -176,7 +176,7 @@ def _strength(load: Load, nodes_mm: FloatArray) -> float:
 
 
 def _reach(load: Load, nodes_mm: FloatArray) -> tuple[float, float]:
-    """Return the extent of the body at rest along the axis."""
+    """Return the lowest and highest position of the body at rest along the axis."""
     heights = nodes_mm @ (np.asarray(_axis(load)) / np.linalg.norm(_axis(load)))
     return float(heights.min()), float(heights.max())
 

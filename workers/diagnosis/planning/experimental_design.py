@@ -1,10 +1,11 @@
 """Expected information of a planned acquisition, and the benefit of further measurements.
 
-No residuals are used. An effect is *seen* if, at its plausible size, it is expected to raise the
-log evidence over no gap by `clear` of the plan's settings, and if the constants do not hide it. Two
-effects are *told apart* if both are seen and each, when it acts, is expected to beat the other by
-the same margin. More rows never lower an expected log evidence, as it is a Kullback-Leibler
-divergence; see `workers.diagnosis.planning.state_information`.
+No residuals are used. An effect is *detectable* (`seen`) if, at its plausible size, it is expected
+to raise the log evidence over no gap by at least `clear` in the plan's settings, and if the
+constants do not hide it. Two effects are *distinguishable* (`apart`) if both are detectable and
+each, when it acts, is expected to beat the other by the same margin. Further rows never lower an
+expected log evidence, because it is a Kullback-Leibler divergence; see
+`workers.diagnosis.planning.state_information`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -43,7 +44,7 @@ class Design:
     drawings : int
         Number of independent segmentations of each scan.
     plates : bool
-        Whether the distance of the plates is measured under each load.
+        Whether the distance between the plates is measured under each load.
     known : int or None
         Index of a constant that is measured separately.
     """
@@ -61,15 +62,15 @@ class DesignEvaluation:
     Parameters
     ----------
     rows : tuple of Detectability
-        One for each effect.
+        Row for each effect.
     evidence : ndarray, shape (effects,)
-        Expected log Bayes factor against no gap of each effect at its plausible size.
+        Expected log Bayes factor of each effect, at its plausible size, against no gap.
     cosines : ndarray, shape (effects, effects)
-        Similarity of the visible parts of two effects.
+        Similarity of the visible parts of each pair of effects.
     separation : ndarray, shape (effects, effects)
-        Expected log Bayes factor of the row's effect, acting, against the column's effect.
+        Expected log Bayes factor of the row's effect, when it acts, against the column's effect.
     shown : frozenset of str
-        Effects already visible in a part of the design: further measurements do not hide them,
+        Effects already detectable in a part of the design: further measurements do not hide them,
         although they may raise the share that the constants absorb.
     """
 
@@ -86,7 +87,7 @@ class DesignEvaluation:
 
     @property
     def seen(self) -> BoolArray:
-        """Mask of the effects that can be named or ruled out, shape (effects,)."""
+        """Mask of the detectable effects, which can be named or ruled out, shape (effects,)."""
         return (self.evidence >= SETTINGS.plan.clear) & ~self.hidden
 
     @property
@@ -102,11 +103,11 @@ class DesignEvaluation:
         return np.array(sunk, np.bool_) | (mostly & (self.evidence < SETTINGS.plan.clear))
 
     def apart(self) -> set[frozenset[str]]:
-        """Return the pairs of effects that can be told apart."""
+        """Return the pairs of effects that can be distinguished."""
         return {pair for pair, worst in self.pairs().items() if worst >= SETTINGS.plan.clear}
 
     def pairs(self) -> dict[frozenset[str], float]:
-        """Return the smaller expected log Bayes factor of each pair of seen effects."""
+        """Return the smaller expected log Bayes factor of each pair of detectable effects."""
         index = np.flatnonzero(self.seen)
         return {
             frozenset((self.names[i], self.names[j])): float(
@@ -130,14 +131,14 @@ def evaluate_design(
         See `workers.diagnosis.problem.acquisition.inverse_problem_of`.
     design : Design
     load_sensitivities : mapping of int to LoadSensitivity
-        For at least every state of the design.
+        Sensitivities of at least every state in the design.
     effects : sequence of Effect
         Effects with columns in every state.
 
     Raises
     ------
     InputError
-        If columns and points do not match.
+        If the columns and the points do not match.
     """
     problem, sensitivities = assembled(unloaded, design, load_sensitivities, effects)
     nothing = EffectSensitivity(
@@ -164,7 +165,7 @@ def assembled(
     plates = range(len(parts)) if design.plates else range(0)
 
     def rows(of: Sequence[FloatArray]) -> FloatArray:
-        """Return the rows of all points of all states, then the distances of the plates."""
+        """Return the rows of all points in all states, then the plate distances."""
         last = [of[s][..., k:, :] for s in plates]
         return np.concatenate([*(c[..., :k, :] for c in of), *last], axis=-2)
 
@@ -173,7 +174,7 @@ def assembled(
     sensitivities = [_print(e, rows([part.columns[e.name] for part in parts])) for e in effects]
     p = nominal.shape[1]
     if design.known is not None:
-        # A constant that is measured separately: a row of its own, unaffected by effects.
+        # A constant that is measured separately has its own row, unaffected by effects.
         nominal = np.vstack([nominal, np.eye(p)[design.known]])
         blocks.append(np.array([[SETTINGS.plan.stiffness_sd**2]]))
         sensitivities = [replace(f, columns=_with_zeros(f.columns)) for f in sensitivities]
@@ -202,7 +203,7 @@ def simulated(
 def loose(load_sensitivities: Iterable[LoadSensitivity], effects: Sequence[Effect]) -> list[Effect]:
     """Return the effects that would push the body away from its supports.
 
-    At their plausible size a point would move by more than `drift_mm` of the settings.
+    At their plausible size, a point would move by more than `drift_mm` in the settings.
     """
     states = list(load_sensitivities)
     return [
@@ -216,7 +217,7 @@ def loose(load_sensitivities: Iterable[LoadSensitivity], effects: Sequence[Effec
 
 
 def plausible(effect: Effect) -> tuple[float, ...]:
-    """Return the prior standard deviations of the parameters in a sensitivity."""
+    """Return the prior standard deviations of an effect's size parameters."""
     return effect.prior_sd[: effect.size_count]
 
 

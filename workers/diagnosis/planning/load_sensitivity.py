@@ -1,4 +1,4 @@
-r"""Sensitivity of a planned scan to constants and effects, from the model alone.
+r"""Sensitivity of a planned scan to constants and effects, computed from the model alone.
 
 The normals of the loaded interfaces come from the model: with the deformation gradient F, a normal
 n of the body at rest becomes
@@ -7,8 +7,8 @@ n of the body at rest becomes
 
 (E. J. Nanson, Messenger of Math. 7 (1878) 182). An additional row is the distance between the
 plates: the relative motion of the contact areas, with each node weighted by its contact stiffness.
-For flat plates under a given force this is the reduction in plate travel, apart from penetration
-due to the penalty.
+For flat plates under a given force, this is the reduction in plate travel, apart from the
+penetration allowed by the penalty.
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilib
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change
 from palpate.workers.mechanics.fem.problem.loads import NoPlates
 
-# Interface number of the row with the distance of the plates.
+# Interface number of the row with the plate distance.
 PLATES = len(INTERFACES)
 
 
@@ -45,17 +45,18 @@ PLATES = len(INTERFACES)
 class LoadSensitivity:
     """Derivatives of the data of a scan, at the prior mean of the constants.
 
-    Rows are the k points of the interfaces, in mm along their normals, and a last one for the
-    distance between the plates in mm.
+    The rows are the k points on the interfaces, in mm along their normals, then the distance
+    between the plates in mm.
 
     Parameters
     ----------
     nominal : ndarray, shape (k + 1, p)
-        Derivatives in the logarithms of the constants.
+        Derivatives with respect to the logarithms of the constants.
     columns : dict of str to ndarray, shape (k + 1, q) or (g, k + 1, q)
-        Derivatives in the parameters of each effect; zero if it does not act on this load.
+        Derivatives with respect to the parameters of each effect; zero if it does not act under
+        this load.
     travel_mm : float
-        Travel of the plates towards each other; 0 for plates at a given distance.
+        Travel of the plates towards each other; 0 if their distance is given.
     """
 
     nominal: FloatArray
@@ -110,7 +111,7 @@ def deformed_normals(unloaded: InverseProblem, displacement_mm: FloatArray) -> F
 
 
 def nodal_gradients(level: LevelModel, displacement_mm: FloatArray) -> FloatArray:
-    """Return nodal means of the deformation gradients of elements, shape (n, 3, 3)."""
+    """Return nodal means of the elements' deformation gradients, shape (n, 3, 3)."""
     tets, gradients, volumes = level.elements
     u = displacement_mm[tets]
     F = np.eye(3) + np.einsum("mai,maj->mij", u[:, 1:] - u[:, :1], gradients)
@@ -147,7 +148,7 @@ def plate_row(at: Equilibrium) -> tuple[csr_matrix, FloatArray]:
 
 
 def _changes(problem: ProblemBuilder, free: Unknowns) -> list[Change]:
-    """Return changes in the logarithm of each constant, about the prior mean."""
+    """Return the changes in the logarithm of each constant, about the prior mean."""
     found = []
     for step in SETTINGS.fit.log_step * np.eye(len(free.mean)):
         ahead, behind = (problem(free.constants(free.mean + s)) for s in (step, -step))
@@ -158,7 +159,7 @@ def _changes(problem: ProblemBuilder, free: Unknowns) -> list[Change]:
 def _with_plates(
     unloaded: InverseProblem, scan: Scan, at: Equilibrium
 ) -> tuple[InverseProblem, PredictedScan]:
-    """Return the problem with the distance of the plates as a further point, and its prediction."""
+    """Return the problem with the plate distance as a further point, and its prediction."""
     row, axis = plate_row(at)
     u, p = at.solution.displacement_mm, unloaded.points
     points = InterfacePoints(
@@ -176,16 +177,16 @@ def _with_plates(
 
 
 def _columns(inverse: InverseProblem, fit: SolvedFit, effect: Effect) -> FloatArray | None:
-    """Return the columns of one effect, zero if it does not act; None if not simulated."""
+    """Return the columns of one effect, zero if it does not act, or None if not simulated."""
     found = scan_sensitivity(inverse, fit, 0, effect)
     if found.idle:
         return np.zeros((len(inverse.points), len(effect.names)))
     columns = found.columns
     if columns is not None and not effect.acts_on_body:
         columns = columns.copy()
-        columns[..., -1, :] = 0.0  # the distance of the plates is not measured in the images
+        columns[..., -1, :] = 0.0  # the plate distance is not measured in the images
     return columns
 
 
 def _not_scanned(points: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
-    raise InputError("This scan is only planned: it cannot be compared with a model.")
+    raise InputError("This scan is only planned, so it cannot be compared with a model.")

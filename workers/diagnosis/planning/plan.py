@@ -38,7 +38,7 @@ def make_plan(
     sensitivities: Mapping[int, LoadSensitivity],
     effects: Sequence[Effect],
 ) -> PlanSummary:
-    """Evaluate the planned loads, and rank further measurements by their benefit.
+    """Evaluate the planned loads, and rank further measurements by benefit.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def make_plan(
     loads : sequence of CandidateLoad
         See `workers.diagnosis.planning.candidate_loads`.
     sensitivities : mapping of int to LoadSensitivity
-        By the index of the load; loads that cannot be simulated are missing.
+        Sensitivities by index of the load; loads that cannot be simulated are missing.
     effects : sequence of Effect
         The catalogue.
     """
@@ -96,7 +96,7 @@ def designs(
     loads: Sequence[CandidateLoad],
     sensitivities: Mapping[int, LoadSensitivity],
 ) -> dict[str, Design]:
-    """Return the possible further scans and measurements, by their descriptions."""
+    """Return the possible further scans and measurements, by description."""
     present = _planned(loads, sensitivities)
     found = {
         ("a scan at " if loads[n].kind == "load" else "a view, ") + loads[n].name: Design(
@@ -149,7 +149,7 @@ def _effect(effect: Effect, now: DesignEvaluation, i: int) -> PlannedEffect:
 
 
 def _confusable(now: DesignEvaluation) -> list[ConfusablePair]:
-    """Return pairs of seen effects that cannot be told apart, the most similar first."""
+    """Return pairs of detectable effects that cannot be distinguished, the most similar first."""
     worst = sorted(now.pairs().items(), key=lambda item: item[1])
     order = now.names.index
     return [
@@ -162,7 +162,7 @@ def _confusable(now: DesignEvaluation) -> list[ConfusablePair]:
 def _further(name: str, now: DesignEvaluation, then: DesignEvaluation) -> FurtherMeasurement:
     """Return the benefit of a design.
 
-    Effects that cannot be simulated in it are ignored on both sides.
+    Effects that cannot be simulated in it are ignored in both designs.
     """
     order = now.names.index
     known = set(then.names)
@@ -189,7 +189,7 @@ def _further(name: str, now: DesignEvaluation, then: DesignEvaluation) -> Furthe
 
 
 def _ratio(before: FloatArray, after: FloatArray) -> float:
-    """Return the ratio of minimum magnitudes, after to before; geometric mean of parameters."""
+    """Return the geometric mean, over parameters, of the minimum magnitudes after over before."""
     both = np.isfinite(before) & np.isfinite(after)
     return float(np.exp(np.mean(np.log(after[both] / before[both])))) if both.any() else 1.0
 

@@ -2,8 +2,8 @@ r"""Detectability of effects in a set of states, and the separation of pairs of 
 
 No residuals are used.
 
-The evidence separates two effects. If k acts at its prior scale, it beats j on average by the
-Kullback-Leibler divergence of their predictions
+Two effects are separated by their evidence. If k acts at its prior scale, it beats j on average by
+the Kullback-Leibler divergence between their predictions
 
 .. math:: \tfrac12 [ \mathrm{tr}(\Sigma_j^{-1} \Sigma_k) - m + \ln|\Sigma_j| - \ln|\Sigma_k| ],
           \qquad \Sigma_k = P^{-1} + B_k S_k B_k',
@@ -35,13 +35,13 @@ class Detectability:
     ----------
     name : str
     minimum : ndarray, shape (q,)
-        Magnitude of each parameter detected with 80 % power at 1 % false alarms.
+        Smallest magnitude of each parameter that is detected with 80 % power at 1 % false alarms.
     absorbed : float
-        Share that the nominal parameters absorb; median over the places.
+        Share of the effect that the nominal parameters absorb; median over the places.
     nearest : str or None
         The effect with the most similar visible part.
     cosine : float
-        Their similarity, 0 to 1.
+        Similarity to that effect, 0 to 1.
     """
 
     name: str
@@ -78,8 +78,8 @@ def separation(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) 
     Returns
     -------
     ndarray, shape (effects, effects)
-        ``[k, j]`` for k acting, in nats; median over the places of k, against the best place of
-        j.
+        Entry ``[k, j]`` is for k acting, in nats; median over the places of k, against the best
+        place of j.
     """
     columns = [sensitivity.whitened(problem) for sensitivity in sensitivities]
     projected = [np.array([problem.project(B) for B in places]) for places in columns]
@@ -99,7 +99,7 @@ def separation(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) 
 
 
 def _divergence(kk: FloatArray, kj: FloatArray, jj: FloatArray) -> float:
-    """Return the divergence from inner products in the metric P of effect k and its rival j."""
+    """Return the divergence, from inner products of effect k and its rival j in the metric P."""
     own, rival = np.eye(len(kk)) + kk, np.eye(len(jj)) + jj
     trace = np.trace(kk) - np.trace(kj @ np.linalg.solve(rival, kj.T))
     trace -= np.trace(np.linalg.solve(rival, jj))

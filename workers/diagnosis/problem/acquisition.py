@@ -1,7 +1,7 @@
 """An acquisition before its loaded scans are made.
 
-It has the reference scan, the planned loads, the noise of the segmentation and the model with its
-plausible constants. With the loaded scans it becomes an inverse problem.
+It comprises the reference scan, the planned loads, the segmentation noise and the model with its
+plausible constants. With the loaded scans, it becomes an inverse problem.
 """
 
 from collections.abc import Callable, Sequence
@@ -49,7 +49,7 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame, frame_of
 
 ProblemBuilder = Callable[[Values], Problem]
-"""Builds the problem of one load from values of the free constants."""
+"""Function that builds the problem of one load from values of the free constants."""
 
 INTERFACES: Sequence[Interface] = (OUTLINE, GLANDULAR)
 
@@ -63,11 +63,11 @@ class Acquisition:
     name : str
         The name given by the user.
     reference : Volume
-        `Tissue` labels of the body at rest, with the points on its interfaces.
+        `Tissue` labels of the body at rest, on whose interfaces the points are placed.
     body : callable
         Returns the volume to be meshed.
     mesh : callable
-        Meshes that volume with a given number of nodes.
+        Meshes the volume with a given number of nodes.
     noise : SegmentationNoise
     free : sequence of FreeConstant
         Constants of the model that the scans must determine.
@@ -79,7 +79,7 @@ class Acquisition:
         Catalogue of effects that may be missing from the model.
     pose_sd : tuple of float
         Prior standard deviation of a scan's pose relative to its header: along each axis in mm,
-        about each in degrees.
+        about each axis in degrees.
     """
 
     name: str
@@ -97,7 +97,7 @@ class Acquisition:
 def prepare_scan(
     acquisition: Acquisition, name: str, spacing_mm: float, loaded: Sequence[Volume] = ()
 ) -> Prepared:
-    """Make a part of the inverse problem by its name in `workers.diagnosis.problem.preparation`.
+    """Make a part of the inverse problem, named in `workers.diagnosis.problem.preparation`.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def inverse_problem_of(
     loaded: Sequence[Volume] = (),
     prepared: ReadPrepared | None = None,
 ) -> InverseProblem:
-    """Mesh the body, place points on its interfaces and compare them with the loaded scans.
+    """Mesh the body and place points on its interfaces, for comparison with the loaded scans.
 
     Parameters
     ----------
@@ -143,10 +143,10 @@ def inverse_problem_of(
     spacing_mm : float
         Distance between neighbouring points on the interfaces.
     loaded : sequence of Volume
-        `Tissue` labels under each load, in order. Without them the problem has no scans, and
-        its covariance is that of one scan.
+        `Tissue` labels under each load, in order. Without them, the problem has no scans, and its
+        covariance is for a single scan.
     prepared : callable, optional
-        Returns the stored result of `prepare_scan`; by default it is made here.
+        Returns the stored result of `prepare_scan`; by default, the part is made here.
 
     Raises
     ------

@@ -1,11 +1,12 @@
 r"""Scans with the same noise for every hypothesis.
 
 A residual is evaluated at the predicted position of a material point. A hypothesis that moves the
-body by a few mm evaluates it at another position on the drawn interface, with a different error.
-The misfits of two hypotheses would then differ by the difference of two noise draws: tens of nats
-for a thousand points, without any information. The error is therefore evaluated once, at the points
-predicted by the nominal model or the best effect (`diagnosis.verdict.second_reading`). Changes of a
-residual come from the interface averaged over a disc, which has less noise but the same shape:
+body by a few mm evaluates it at another position on the segmented interface, with a different
+error. The misfits of two hypotheses would then differ by the difference between two noise draws:
+tens of nats for a thousand points, without any information. The error is therefore evaluated once,
+at the points predicted by the nominal model or the best effect
+(`diagnosis.verdict.second_reading`). Changes of a residual come from the interface averaged over a
+disc, which has less noise but the same shape:
 
 .. math:: r(x) = d(x_0) + (\bar d(x) - \bar d(x_0)) / |\nabla \bar d(x_0)|
 
@@ -26,7 +27,7 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 def anchored(
     scan: Scan, anchor: FloatArray, points: InterfacePoints, correlation_mm: float
 ) -> Scan:
-    """Return a scan with the noise fixed to its value at an anchor.
+    """Return a scan with the noise fixed at its value at an anchor.
 
     Parameters
     ----------
@@ -34,9 +35,9 @@ def anchored(
     anchor : ndarray, shape (k, 3)
         Predicted positions of the points, at which the noise is evaluated.
     points : InterfacePoints
-        Points of the reference.
+        Points of the reference scan.
     correlation_mm : float
-        Correlation length of the noise, the unit of the discs' radii.
+        Correlation length of the noise, in which the discs' radii are measured.
     """
     drawn = scan.drawn or scan.compare
     there, raw = drawn(anchor, points)

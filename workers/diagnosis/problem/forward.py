@@ -17,7 +17,7 @@ class Forward(Protocol):
         """Return an equilibrium with its ``solution``; see `mechanics.fem.equilibrium.solve`."""
 
     def expecting(self, at: Any, moved_mm: FloatArray) -> Any:
-        """Return an equilibrium as a start, with an expected shift of the nodes by `moved_mm`."""
+        """Return an equilibrium as a start, with nodes expected to move by `moved_mm`."""
 
     def tangents(self, at: Any, changes: Sequence[Any], tolerance: float) -> FloatArray:
         """Return derivatives of the displacement; see `mechanics.fem.equilibrium.sensitivity`."""
@@ -25,11 +25,11 @@ class Forward(Protocol):
     def loosened(self, problem: Any, tolerance_mm: float, friction_steps: int) -> Any:
         """Return the problem with a coarser tolerance and fewer steps, if applicable.
 
-        If an equilibrium is not found from a nearby one, there are no further attempts.
+        If no equilibrium is found from a nearby one, there are no further attempts.
         """
 
     def direction(self, problem: Any) -> Sequence[float]:
-        """Return the direction in which the body is loaded, x, y, z."""
+        """Return the direction (x, y, z) in which the body is loaded."""
 
     def pressed(self, at: Any) -> BoolArray | None:
         """Return a mask of the nodes that a plate presses, shape (n,); None without plates."""

@@ -34,8 +34,8 @@ class FreeConstant:
     ----------
     name : str
     lower, upper : float
-        Plausible interval in internal units, both > 0. The logarithm has a normal prior, whose
-        mean plus or minus one standard deviation is the interval.
+        Plausible interval in internal units, both > 0. The logarithm has a normal prior; the
+        interval is its mean plus or minus one standard deviation.
     unit : Unit
         External unit.
     is_bound : bool
@@ -51,7 +51,7 @@ class FreeConstant:
     def __post_init__(self) -> None:
         if not 0 < self.lower < self.upper:
             raise InputError(
-                f"The plausible interval of {self.name} must be positive and ascending, "
+                f"The plausible interval of {self.name} must be positive and in ascending order, "
                 f"found [{self.lower:g}, {self.upper:g}]."
             )
 
@@ -68,14 +68,14 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class FollowedPoints:
-    """Points of the interfaces that move with the mesh of the body.
+    """Points on the interfaces that move with the mesh of the body.
 
     Parameters
     ----------
     points : ndarray, shape (k, 3)
-        At rest, in mm.
+        Positions at rest, in mm.
     at_points : csr_matrix, shape (k, n)
-        Interpolates displacements of the nodes to the points.
+        Interpolation of nodal displacements to the points.
     pressed : ndarray, shape (k,)
         Pressed share of each point, 0 to 1; see `workers.diagnosis.problem.pressed_points`.
     """
@@ -85,7 +85,7 @@ class FollowedPoints:
     pressed: FloatArray
 
     def moved(self, displacement_mm: FloatArray) -> FloatArray:
-        """Return the positions of the points, (k, 3), for displacements of the nodes (n, 3)."""
+        """Return the positions of the points, (k, 3), for nodal displacements (n, 3)."""
         return np.asarray(self.points + self.at_points @ displacement_mm)
 
 
@@ -99,17 +99,17 @@ class Scan:
     problem : callable
         Builds the problem from values of the free constants.
     compare : callable
-        Takes moved points, (k, 3), and the points of the reference; returns residuals, (k,) in
-        mm, and their derivatives in the positions, (k, 3).
+        Takes moved points, (k, 3), and the reference points; returns residuals, (k,) in mm, and
+        their derivatives with respect to the positions, (k, 3).
     drawn : callable, optional
-        The same for the interfaces as drawn, if `compare` uses noise fixed to an anchor; see
+        Like `compare`, for the interfaces as drawn, if `compare` uses noise fixed at an anchor; see
         `workers.diagnosis.problem.anchored_scan`.
     interface_mm2 : sequence of float
         Area of each interface in the scan; empty for markers.
     voxel_mm : tuple of float, optional
-        Voxel size along x, y and z, for labels.
+        Voxel size along x, y and z, if the scan has labels.
     followed : FollowedPoints, optional
-        Points as followed under this load, if plates press some of them.
+        Points as followed under this load, if plates press some of the points.
     """
 
     name: str
@@ -123,7 +123,7 @@ class Scan:
 
 @dataclass(frozen=True, eq=False)
 class InverseProblem:
-    """A body and its scans.
+    """A body and its scans, with a model whose constants are unknown.
 
     Parameters
     ----------
@@ -132,15 +132,15 @@ class InverseProblem:
     points : InterfacePoints
         The k points on the interfaces of the reference scan.
     at_points : csr_matrix, shape (k, n)
-        Interpolates displacements of the nodes to the points.
+        Interpolation of nodal displacements to the points.
     free : sequence of FreeConstant
     scans : sequence of Scan
     noise : SegmentationNoise
     covariance : ndarray, shape (s k, s k)
-        Noise covariance of the residuals of all scans, one after another, in mm^2; without poses,
-        whose columns belong to a fit.
+        Noise covariance of the concatenated residuals of all scans, in mm^2; without poses, whose
+        columns belong to a fit.
     bias : ndarray, shape (s k,)
-        Mesh error of the residuals, in mm; subtracted.
+        Mesh error of the residuals, in mm, which is subtracted from them.
     is_segmented : bool
         Whether residuals are distances to segmented interfaces, whose noise is learnt and whose
         scans may deviate from the poses in their headers. False for markers, whose noise was
@@ -151,13 +151,13 @@ class InverseProblem:
         Positions at which the noise of each scan was evaluated; see
         `workers.diagnosis.problem.anchored_scan`. Empty before the calibration.
     arms : csr_matrix, shape (k, n), optional
-        Maps displacements of the nodes to the displacement of the end of an arm of 1 mm
+        Maps nodal displacements to the displacement of the end of an arm, 1 mm long and
         perpendicular to the surface at the point, relative to its foot. None without markers.
     pose_sd : tuple of float
         Prior standard deviation of a scan's pose relative to its header: along each axis in mm,
-        about each in degrees.
+        about each axis in degrees.
     left_out : int
-        Number of points removed because some scan does not show them clearly.
+        Number of points removed because they are not clearly visible in some scan.
     forward : Forward
     something_else : FieldSettings
         Prior of the smooth field for unlisted causes.
@@ -188,7 +188,7 @@ class InverseProblem:
 
     @cached_property
     def scatter_factor(self) -> FloatArray:
-        """Lower Cholesky factor without the contour bias, whose columns are in `drawing`."""
+        """Lower Cholesky factor excluding the contour bias, whose columns are in `drawing`."""
         if self.learnt is None:
             return self.covariance_factor
         return factored(self.learnt.scatter)
@@ -267,7 +267,7 @@ class Unknowns:
     free : sequence of FreeConstant
     effects : sequence of Effect
     mean, sd : ndarray, shape (p,)
-        Prior, including the place of an effect.
+        Prior means and standard deviations, including those of an effect's location.
     """
 
     free: Sequence[FreeConstant]
@@ -299,19 +299,19 @@ class Unknowns:
         return np.array(sides)
 
     def at_bound(self, z: FloatArray) -> IntArray:
-        """Mark the parameters at a bound: 1 at a lower, -1 at an upper bound, else 0.
+        """Mark the parameters at a bound: 1 at a lower bound, -1 at an upper bound, 0 otherwise.
 
-        The neutral value of a one-sided parameter is not a bound, as its prior ends there.
+        The neutral value of a one-sided parameter is not a bound, because its prior ends there.
         """
         lower = (z <= self.lower) & ~self.one_sided
         return lower.astype(np.int32) - (z >= self.upper)
 
     def constants(self, z: FloatArray) -> dict[str, float]:
-        """Return values of the free constants at `z`."""
+        """Return the values of the free constants at `z`."""
         return {f.name: float(np.exp(v)) for f, v in zip(self.free, z, strict=False)}
 
     def of_effect(self, effect: Effect, z: FloatArray) -> dict[str, float]:
-        """Return values of the parameters of one effect at `z`."""
+        """Return the values of one effect's parameters at `z`."""
         at = self.names.index(effect.names[0])
         return dict(zip(effect.names, map(float, z[at : at + len(effect.names)]), strict=True))
 
@@ -337,7 +337,7 @@ def unknowns(
     Parameters
     ----------
     means : mapping of str to float, optional
-        Prior means other than the neutral values, such as the place of a lump.
+        Prior means that differ from the neutral values, such as the location of a lump.
     """
     mean, sd = [f.log_mean for f in free], [f.log_sd for f in free]
     for effect in effects:

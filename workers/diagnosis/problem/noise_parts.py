@@ -1,4 +1,4 @@
-"""Components of the noise of a case, at the first fit of its constants."""
+"""Components of a case's noise, at the first fit of its constants."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,14 +16,14 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 
 def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> NoiseParts:
-    """Return the noise of an inverse problem whose constants have been fitted once.
+    """Return the noise components of an inverse problem whose constants have been fitted once.
 
     Parameters
     ----------
     inverse : InverseProblem
-        With the bias of its mesh and the stated covariance.
+        Problem with the bias of its mesh and the given covariance.
     predictions : sequence of ComparedScan
-        One for each scan.
+        Comparison with each scan.
     """
     return NoiseParts(
         stated=stated_covariances(inverse),
@@ -37,7 +37,7 @@ def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) ->
 def planned_covariance(inverse: InverseProblem) -> FloatArray:
     """Return the noise covariance of planned scans, shape (m, m), in mm^2.
 
-    It is the stated one, with poses and contour bias, for the points at rest.
+    It is the given covariance, with poses and contour bias, for the points at rest.
     """
     scans, points = len(inverse.scans), inverse.points
     carried = np.ones((scans, len(points)))
@@ -59,12 +59,12 @@ def _drawing(inverse: InverseProblem) -> FloatArray:
 
 
 def noise_lengths(inverse: InverseProblem) -> tuple[float, ...]:
-    """Return correlation lengths divided by the stated one; only 1 for measured noise."""
+    """Return the correlation lengths divided by the given length; only 1 for measured noise."""
     return SETTINGS.noise.lengths if inverse.is_segmented else (1.0,)
 
 
 def stated_covariances(inverse: InverseProblem) -> tuple[FloatArray, ...]:
-    """Return the stated noise covariance for each correlation length, shape (m, m)."""
+    """Return the given noise covariance for each correlation length, shape (m, m)."""
     if not inverse.is_segmented:
         return (inverse.covariance + _smoother(inverse, 1.0, _carried(inverse)),)
     found = []
@@ -82,7 +82,7 @@ def _carried(inverse: InverseProblem) -> FloatArray:
 
 
 def _smoother(inverse: InverseProblem, factor: float, carried: FloatArray) -> FloatArray:
-    """Return the covariance of the part of the noise that is smoother than stated.
+    """Return the covariance of the part of the noise that is smoother than given.
 
     `carried` is the share of the error at rest that enters each scan's residuals, shape (s, k).
     """

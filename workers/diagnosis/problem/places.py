@@ -10,7 +10,7 @@ from palpate.workers.mechanics.effects.base import Effect
 
 
 def places_of(inverse: InverseProblem, effect: Effect) -> FloatArray:
-    """Return the grid of places at which an effect is tried.
+    """Return the grid of places at which an effect is evaluated.
 
     Parameters
     ----------
@@ -20,8 +20,8 @@ def places_of(inverse: InverseProblem, effect: Effect) -> FloatArray:
     Returns
     -------
     ndarray, shape (g, 3) or (g, 4)
-        Offsets from the middle of the body in mm, and radii in mm where several are tried; empty
-        for an effect that acts everywhere.
+        Offsets from the middle of the body in mm, followed by radii in mm if several are tried;
+        empty for an effect that acts everywhere.
     """
     where, centre = effect.place, np.asarray(inverse.frame.centre_mm)
     if where is None:
@@ -40,9 +40,9 @@ def places_of(inverse: InverseProblem, effect: Effect) -> FloatArray:
 
 
 def starting_places(effect: Effect, places: FloatArray, log_bayes_factors: FloatArray) -> list[int]:
-    """Return the indices of the places from which to start the fit of an effect, the best first.
+    """Return the indices of places from which to start the fit of an effect, the best first.
 
-    Neighbours on the grid lead to the same optimum and are skipped, as are unlikely places.
+    Neighbours on the grid lead to the same optimum, so they are skipped, as are unlikely places.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def starting_places(effect: Effect, places: FloatArray, log_bayes_factors: Float
     places : ndarray, shape (g, 3) or (g, 4)
         See `places_of`.
     log_bayes_factors : ndarray, shape (g,)
-        For the effect at each place.
+        Log Bayes factor of the effect at each place.
     """
     settings, grid = SETTINGS.joint_fits, SETTINGS.sensitivities
     inside = effect.place is not None and effect.place.on == "inside"
@@ -67,7 +67,7 @@ def starting_places(effect: Effect, places: FloatArray, log_bayes_factors: Float
 
 
 def _inside(inverse: InverseProblem) -> FloatArray:
-    """Return points inside the body with a spacing of `inside_grid_mm` of the settings."""
+    """Return points inside the body with a spacing of `inside_grid_mm` in the settings."""
     settings = SETTINGS.sensitivities
     nodes = inverse.model.finest.nodes
     spacing = settings.inside_grid_mm
@@ -80,7 +80,7 @@ def _inside(inverse: InverseProblem) -> FloatArray:
 
 
 def _on_boundary(inverse: InverseProblem, spacing_mm: float) -> FloatArray:
-    """Return nodes of skin and chest wall, one in each cube of the given edge length.
+    """Return nodes on the skin and chest wall, one in each cube of the given edge length.
 
     It is the node closest to the mean of all nodes in the cube.
     """

@@ -1,8 +1,8 @@
-"""Parts of an inverse problem that any process can prepare in advance, as named arrays.
+"""Parts of an inverse problem, as named arrays, which any process can prepare in advance.
 
 ::
 
-    points    on the interfaces of the scan at rest
+    points    points on the interfaces of the scan at rest
     body      the volume to be meshed
     scan N    distances to the interfaces of a loaded scan, and their areas
     shapes    interfaces of the scan at rest, as shown on a page
@@ -21,19 +21,19 @@ from palpate.workers.comparison.observation.signed_distance import SignedDistanc
 
 Prepared = dict[str, NDArray[Any]]
 ReadPrepared = Callable[[str], Prepared]
-"""Returns the arrays of a preparation by its name."""
+"""Returns the arrays of a named preparation."""
 
 POINTS, BODY, SHAPES = "points", "body", "shapes"
 _PLACE, _AREAS = "place", "interface_mm2"
 
 
 def scan_preparation(number: int) -> str:
-    """Return the name of the distances of one loaded scan."""
+    """Return the name of the preparation with the distances of one loaded scan."""
     return f"scan {number}"
 
 
 def preparations_of(scans: int) -> tuple[str, ...]:
-    """Return the names of all preparations for a number of loaded scans, the slowest first."""
+    """Return the names of all preparations for `scans` loaded scans, the slowest first."""
     return (POINTS, *map(scan_preparation, range(scans)), BODY, SHAPES)
 
 
@@ -43,12 +43,12 @@ def arrays_of_volume(volume: Volume) -> Prepared:
 
 
 def volume_of(arrays: Prepared) -> Volume:
-    """Return the volume from arrays of `arrays_of_volume`."""
+    """Return the volume from the arrays of `arrays_of_volume`."""
     return Volume(arrays["values"], *_spacing_and_origin(arrays))
 
 
 def arrays_of_points(points: InterfacePoints) -> Prepared:
-    """Return points on interfaces as arrays."""
+    """Return interface points as arrays."""
     return {
         "points": points.points,
         "normals": points.normals,
@@ -59,7 +59,7 @@ def arrays_of_points(points: InterfacePoints) -> Prepared:
 
 
 def points_of(arrays: Prepared) -> InterfacePoints:
-    """Return the points from arrays of `arrays_of_points`."""
+    """Return the points from the arrays of `arrays_of_points`."""
     return InterfacePoints(**arrays)
 
 
@@ -71,7 +71,7 @@ def arrays_of_distances(observed: Observed) -> Prepared:
 
 
 def distances_of(arrays: Prepared) -> Observed:
-    """Return the distances from arrays of `arrays_of_distances`."""
+    """Return the distances from the arrays of `arrays_of_distances`."""
     spacing, origin = _spacing_and_origin(arrays)
     return Observed(
         tuple(

@@ -1,14 +1,14 @@
-"""Points of the outline that a plate presses, which are on the plate whatever was drawn.
+"""Points of the outline pressed by a plate, which are on the plate wherever they were drawn.
 
-The points of a diagnosis are on the drawn outline, while the faces of the mesh cut the corners of a
+The points of a diagnosis are on the drawn outline, while the mesh faces cut the corners of a
 smoothed outline, so a point is a few tenths of a millimetre above or below a face. On the free
-surface this offset moves with the body; under a plate the surface becomes flat. A pressed point is
-therefore followed at its foot on the mesh, and its residual excludes the segmentation error at
+surface, this offset moves with the body; under a plate, the surface becomes flat. A pressed point
+is therefore followed at its foot on the mesh, and its residual excludes the segmentation error at
 rest. (Followed with their offsets, points of three controls were outside the plate by 0.1 to 0.5
 mm, all in the same direction, since flat faces are inside a round body.)
 
-Labels at rest without such an error come from a mesh of our own, which moves the offsets too; their
-points are followed as on the free surface.
+Labels at rest without such an error come from one of our own meshes, which moves the offsets too;
+their points are followed as on the free surface.
 """
 
 from collections.abc import Sequence
@@ -27,13 +27,13 @@ NEAREST = 16
 
 
 def with_pressed_points(inverse: InverseProblem, pressed: Sequence[FloatArray]) -> InverseProblem:
-    """Return the problem with pressed points followed on the surface of the mesh.
+    """Return the problem with pressed points followed on the mesh surface.
 
     Parameters
     ----------
     inverse : InverseProblem
     pressed : sequence of ndarray, shape (k,)
-        Pressed share of each point, 0 to 1, for each scan; see `pressed_shares`. If no point is
+        Pressed share of each point, 0 to 1, in each scan; see `pressed_shares`. If no point is
         pressed in any scan, the problem is returned unchanged.
     """
     if not any(share.any() for share in pressed):
@@ -63,7 +63,7 @@ def pressed_shares(inverse: InverseProblem, pressed: BoolArray) -> FloatArray:
 
 
 def _feet(level: LevelModel, points: FloatArray) -> csr_matrix:
-    """Return the interpolation matrix from nodes to the feet of points on the free surface.
+    """Return the interpolation matrix from the nodes to the feet of points on the free surface.
 
     The foot is the projection on the plane of a face, moved to its rim if it misses the face.
     """
@@ -80,7 +80,7 @@ def _feet(level: LevelModel, points: FloatArray) -> csr_matrix:
 
 
 def _barycentric(points: FloatArray, corners: FloatArray) -> FloatArray:
-    """Return nonnegative weights, with sum 1, of corners (k, f, 3, 3) at points (k, 1, 3)."""
+    """Return nonnegative weights of the corners (k, f, 3, 3), with sum 1, at points (k, 1, 3)."""
     a, b = corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
     p = points - corners[:, :, 0]
     aa, ab, bb = ((x * y).sum(axis=2) for x, y in ((a, a), (a, b), (b, b)))

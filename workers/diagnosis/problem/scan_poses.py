@@ -1,16 +1,16 @@
-r"""Poses of the scans: unknown rigid motions, estimated for any values of the constants.
+r"""Poses of the scans: unknown rigid motions, estimated at any values of the constants.
 
-A pose is relative to the scan at rest, whose own error is common to all.
+A pose is relative to the scan at rest, whose own error is common to all scans.
 
-With residuals r of a model compared with scans at poses p, their derivatives -N by the poses, and
-other noise of covariance S, the poses minimise
+With residuals r of a model compared with scans at poses p, their derivatives -N with respect to the
+poses, and other noise of covariance S, the poses minimise
 
 .. math:: |S^{-1/2} (r + N p - N q)|^2 + |q|^2
 
 over q, in prior standard deviations. N must be evaluated at the present pose: the normals of a
-drawn interface change within a millimetre, and as all points together determine a pose far better
-than its prior, derivatives from elsewhere would give a different pose. Integrated over q, r + N p
-has the covariance S + N N'.
+drawn interface change within a millimetre, and since all points together determine a pose far
+better than its prior does, derivatives from elsewhere would give a different pose. Integrated over
+q, r + N p has the covariance S + N N'.
 """
 
 from collections.abc import Sequence
@@ -30,12 +30,12 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 
 def residuals(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
-    """Return the residuals of all scans without the mesh bias, shape (m,)."""
+    """Return the residuals of all scans, without the mesh bias, shape (m,)."""
     return np.concatenate([v.residual for v in predictions]) - inverse.bias
 
 
 def poses_of(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
-    """Return derivatives of the residuals by poses, per prior standard deviation, (m, 6 s).
+    """Return derivatives of the residuals with respect to poses, per prior sd, (m, 6 s).
 
     There are no columns if the poses are known.
     """
@@ -68,7 +68,7 @@ class PosedNoise:
         )
 
     def poses(self, white: FloatArray) -> FloatArray:
-        """Return the most probable poses of whitened residuals, in prior standard deviations."""
+        """Return the most probable poses for whitened residuals, in prior standard deviations."""
         return np.asarray(cho_solve(self._curvature, self._poses.T @ white))
 
     def cleared(self, white: FloatArray) -> FloatArray:
@@ -79,9 +79,9 @@ class PosedNoise:
 def registered(
     inverse: InverseProblem, unknowns: Unknowns, z: FloatArray, found: Sequence[PredictedScan]
 ) -> tuple[PredictedScan, ...]:
-    """Estimate the poses from the residuals and compare with the scans there.
+    """Estimate the poses from the residuals, and compare with the scans in these poses.
 
-    The cost is meaningful only once the poses have converged: off the interface it is too low.
+    The cost is meaningful only once the poses have converged; off the interface, it is too low.
     Distances may have a kink at which the best pose alternates between both sides, so steps that
     do not become shorter are halved.
     """

@@ -1,4 +1,4 @@
-"""Predictions of the scans under a hypothesis: residuals and their derivatives."""
+"""Predictions of the scans under a hypothesis, with residuals and their derivatives."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,10 +28,10 @@ class ComparedScan:
     Parameters
     ----------
     points : ndarray, shape (k, 3)
-        Predicted positions of the points of the interfaces.
+        Predicted positions of the points on the interfaces.
     residual : ndarray, shape (k,)
-        In mm, positive outside the observed tissue; includes the linear contribution of the
-        scan's pose.
+        Residual in mm, positive outside the observed tissue; includes the linear contribution of
+        the scan's pose.
     normals : ndarray, shape (k, 3)
         Normals of the observed interfaces.
     """
@@ -43,10 +43,10 @@ class ComparedScan:
 
 @dataclass(frozen=True, eq=False)
 class PredictedScan(ComparedScan):
-    """A compared scan with the equilibrium of the model, as a start for solving others.
+    """A compared scan with the equilibrium of the model, from which others can be solved.
 
-    `followed` are the points as followed. `pose` is the assumed pose of the scan: a motion of the
-    model relative to it, 3 shifts in mm and 3 rotations in degrees.
+    `followed` holds the points as followed. `pose` is the assumed pose of the scan: a motion of the
+    model relative to the scan, with three shifts in mm and three rotations in degrees.
     """
 
     at: Equilibrium
@@ -54,7 +54,7 @@ class PredictedScan(ComparedScan):
     pose: FloatArray | None = None
 
     def along_normals(self, nodal: FloatArray) -> FloatArray:
-        """Return the motion of the points along the normals, (k,), for one of the nodes (n, 3)."""
+        """Return the motion of the points along the normals, (k,), given nodal motion (n, 3)."""
         moved = self.followed.at_points @ nodal
         return np.asarray((moved * self.normals).sum(axis=1))
 
@@ -68,7 +68,7 @@ def tissues_of(inverse: InverseProblem) -> IntArray:
 def problem_of(
     scan: Scan, unknowns: Unknowns, z: FloatArray, frame: Frame, leave_out: Effect | None = None
 ) -> Problem:
-    """Return the problem of a scan with the effects of a hypothesis, optionally without one."""
+    """Return the problem of a scan with the effects of a hypothesis, optionally except one."""
     problem = scan.problem(unknowns.constants(z))
     if any(effect.follows_path for effect in unknowns.effects):
         steps = min(problem.friction_steps, SETTINGS.fit.friction_steps)
@@ -108,7 +108,7 @@ def compare_with_scan(
 ) -> PredictedScan:
     """Compare an equilibrium with the scan at its nominal or assumed pose.
 
-    Far from an interface, distances to it are smoother than close to it and no longer linear, so
+    Far from an interface, the distances to it are smoother than near it and no longer linear, so
     the motion of the scan is subtracted from the points, not from the distances.
     """
     followed = inverse.followed(scan)
@@ -145,9 +145,9 @@ def compared_points(
 
 @dataclass(frozen=True, eq=False)
 class ScanJacobian:
-    """Derivatives of one scan in all parameters, shape (k, p), and the values `z` used.
+    """Derivatives of one scan with respect to all parameters, shape (k, p), and their values `z`.
 
-    `moved` are the tangents of the nodes' displacements, (p, n, 3). `fresh` is False if a column
+    `moved` holds the tangents of the nodal displacements, (p, n, 3). `fresh` is False if a column
     was reused from nearby parameter values.
     """
 
@@ -178,7 +178,7 @@ def derivatives(
         at = unknowns.names.index(name)
         near = SETTINGS.fit.friction_near * unknowns.sd[at]
         if before is not None and abs(z[at] - before.z[at]) < near:
-            # Keep the value at which that column was computed, so that it does not drift.
+            # Keep the value at which that column was computed, so that the column does not drift.
             found[:, at] = before.columns[:, at]
             taken_at[at] = before.z[at]
             fresh = False
@@ -215,7 +215,7 @@ def _columns_of_all(
     prediction: PredictedScan,
     moved: FloatArray,
 ) -> FloatArray:
-    """Return derivatives of the residual in all parameters, given the motion of the nodes."""
+    """Return derivatives of the residual for all parameters, given the motion of the nodes."""
     observed = [(e, unknowns.of_effect(e, z)) for e in unknowns.effects if not e.acts_on_body]
     columns = _along_motions(inverse, prediction, moved, observed)
     for effect, _ in observed:
@@ -265,8 +265,8 @@ def _along_motions(
 ) -> FloatArray:
     """Return derivatives of the residual along motions of the nodes, (c, n, 3): (k, c).
 
-    `observed` are the acting effects on the observation with their values, which change with the
-    position of a point.
+    `observed` holds the acting effects on the observation with their values; their shifts change
+    with the position of a point.
     """
     out = np.empty((len(prediction.residual), len(moved)))
     for c, nodal in enumerate(moved):
@@ -294,7 +294,7 @@ def _shift_along(
 def observed_columns(
     inverse: InverseProblem, effect: Effect, prediction: PredictedScan
 ) -> FloatArray:
-    """Return derivatives in the parameters of an effect on the observation, shape (k, q)."""
+    """Return derivatives for the parameters of an effect on the observation, shape (k, q)."""
     if effect.observation is None:
         raise ValueError(f"{effect.name} acts on the body")
     places = _seen_by(effect, inverse, prediction.followed, prediction.at)
@@ -303,7 +303,7 @@ def observed_columns(
 
 
 def _where_seen(inverse: InverseProblem, effect: Effect, shift: FloatArray) -> FloatArray:
-    """Set the shift by an effect on the observation, (k, ...), to zero where it does not act."""
+    """Set an observation effect's shift, (k, ...), to zero where the effect does not act."""
     acts = inverse.is_force if effect.sees == "cells" else ~inverse.is_force
     return np.where(acts.reshape(-1, *[1] * (shift.ndim - 1)), shift, 0.0)
 

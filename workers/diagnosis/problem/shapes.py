@@ -1,8 +1,8 @@
 """Interfaces of a body as a few thousand triangles, for display on a page.
 
-Vertices of the fine surface that share a cell of a cubic lattice become one, at their
-mean; triangles that lose a corner vanish (J. Rossignac and P. Borrel, Multi-resolution
-3D approximations for rendering complex scenes, 1993).
+Vertices of the fine surface that share a cell of a cubic lattice are merged at their mean;
+triangles that lose a corner vanish (J. Rossignac and P. Borrel, Multi-resolution 3D approximations
+for rendering complex scenes, 1993).
 """
 
 from collections.abc import Sequence
@@ -59,10 +59,10 @@ def shape(labels: Volume, inside: tuple[Tissue, ...], edge_mm: float = EDGE_MM) 
     Raises
     ------
     InputError
-        If the tissue is missing or fills the volume, or no triangle is left.
+        If the tissue is missing or fills the volume, or no triangles remain.
     """
     if not edge_mm > 0:
-        raise InputError(f"Triangles need an edge > 0 mm, found {edge_mm}.")
+        raise InputError(f"The edge length of triangles must be > 0 mm, found {edge_mm}.")
     fine = surface(labels, inside)
     cells = np.floor(fine.vertices / edge_mm).astype(np.int64)
     _, cluster = np.unique(cells, axis=0, return_inverse=True)

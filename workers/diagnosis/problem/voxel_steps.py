@@ -1,14 +1,14 @@
-r"""Common error of flat faces that are parallel to layers of voxels.
+r"""Common error of the points on flat faces parallel to layers of voxels.
 
 A plate flattens skin, mostly parallel to the layers of voxels. Labels then show the whole face at a
-border between two layers, up to half a voxel from its position: all its points share one error,
-uniform over a voxel of edge h. (On nine blind bodies without a missing effect, in voxels of 0.8 mm,
-faces under the plates scattered by 0.26 mm, with an error nearly linear in their position between
-two layers.) Independent noise of the points never averages to as much.
+border between two layers, up to half a voxel from its true position: all its points share one
+error, uniformly distributed over a voxel of edge h. (On nine blind bodies without a missing effect,
+in voxels of 0.8 mm, faces under the plates scattered by 0.26 mm, with an error nearly linear in
+their position between two layers.) The mean of independent noise at the points is never that large.
 
-A face tilted by theta against the layers crosses them within the correlation length l of the
-segmentation, and its error averages out. Residuals of one interface in one scan that face the same
-way along an axis of the voxels therefore have
+A face tilted by theta relative to the layers crosses them within the correlation length l of the
+segmentation, and its error averages out. Residuals of one interface in one scan whose normals point
+the same way along a voxel axis therefore have
 
 .. math:: C_{ij} = \frac{h^2}{12} w_i w_j e^{-4 |x_i - x_j| / h}, \quad
     w = \exp \left( -\frac{1}{2} \left( \frac{\pi l \tan \theta}{h} \right)^2 \right)
@@ -28,7 +28,7 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 
 def voxel_steps(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
-    """Return columns whose outer product is the covariance of the module, shape (m, q), in mm.
+    """Return columns whose outer product is the covariance above, shape (m, q), in mm.
 
     Parameters
     ----------

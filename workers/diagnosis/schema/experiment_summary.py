@@ -8,7 +8,7 @@ from palpate.storage.values import Triple
 
 @dataclass(frozen=True, slots=True)
 class MarkerResidual:
-    """Displacement of a point of a specimen along x, y and z of the body.
+    """Displacement of a point on a specimen, along x, y and z of the body.
 
     `before_mm` and `after_mm` are the residuals of the models.
     """
@@ -30,7 +30,7 @@ class Reaction:
 
     @property
     def place(self) -> str:
-        """The location and direction of the force, in words."""
+        """The region and direction of the force, in words."""
         return f"{self.region} along {self.axis}"
 
 
@@ -44,7 +44,7 @@ class ReactionResidual(Reaction):
 
 @dataclass(frozen=True, slots=True)
 class MarkerState:
-    """All points of one state; `repeats_mm` is the distance of two recordings, None for one."""
+    """All points of one state; `repeats_mm` is the distance between two recordings, if any."""
 
     state: str
     repeats_mm: float | None
@@ -57,7 +57,7 @@ class MarkerState:
 
 @dataclass(frozen=True, slots=True)
 class ConfoundedEffect:
-    """The constants in kPa, ``without`` and ``with`` a hidden effect of the given size."""
+    """Constants in kPa fitted ``without`` and ``with`` a hidden effect of the given size."""
 
     name: str
     size: Mapping[str, float]

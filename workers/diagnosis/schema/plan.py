@@ -10,11 +10,12 @@ from typing import Literal
 
 @dataclass(frozen=True, slots=True)
 class ParameterPlan:
-    """Magnitudes of a parameter in its unit.
+    """Magnitudes of a parameter, in its unit.
 
-    `minimum` is detected with 80 % power at 1 % false alarms, None if the parameter is invisible;
-    `plausible` is a prior standard deviation. `shown_minimum` and `shown_plausible` are these
-    values in the unit that readers see, `shown_unit`; None in records of earlier versions.
+    `minimum` is detected with 80 % power at 1 % false alarms, and None if the parameter is
+    invisible; `plausible` is a prior standard deviation. `shown_minimum` and `shown_plausible` are
+    the same values in the displayed unit, `shown_unit`; all three are None in records of earlier
+    versions.
     """
 
     parameter: str
@@ -27,7 +28,7 @@ class ParameterPlan:
 
     @property
     def shown(self) -> tuple[float | None, float | None, str]:
-        """Return minimum and plausible magnitude in the unit that readers see."""
+        """Return the minimum and plausible magnitudes in the displayed unit."""
         if self.shown_unit is None:
             return self.minimum, self.plausible, self.unit
         return self.shown_minimum, self.shown_plausible, self.shown_unit
@@ -46,11 +47,11 @@ class PlannedEffect:
     nearest : str or None
         The effect with the most similar visible part.
     cosine : float
-        Their similarity, 0 to 1.
+        Similarity to that effect, 0 to 1.
     log_evidence : float
         Expected log Bayes factor against no gap at the plausible size, in nats.
     seen : bool
-        Whether it can be named or ruled out.
+        Whether the effect can be named or ruled out.
     why_not : {"hidden", "weak", ""}
     """
 
@@ -68,7 +69,7 @@ class PlannedEffect:
 
 @dataclass(frozen=True, slots=True)
 class ConfusablePair:
-    """Two visible effects that cannot be distinguished, with the expected log Bayes factor."""
+    """Two visible effects that cannot be distinguished, and the expected log Bayes factor."""
 
     effects: tuple[str, ...]
     log_evidence: float
@@ -82,18 +83,18 @@ class FurtherMeasurement:
     ----------
     name : str
     told_apart, more_told_apart : int
-        Number of distinguishable pairs of effects, in total and in addition.
+        Number of distinguishable pairs of effects, in total and gained by the measurement.
     separates : tuple of pairs of str
-        Pairs that are confusable without it.
+        Pairs that cannot be distinguished without the measurement.
     reveals, silent : tuple of str
-        Effects that are visible only with it, and those that remain invisible.
+        Effects that are visible only with the measurement, and effects that remain invisible.
     minimum_ratio : float
         Geometric mean of `minimum_ratios`.
     minimum_ratios : mapping of str to float
         Factor by which the minimum detectable magnitude of each effect changes.
     absorbed_shares : mapping of str to float
     not_simulated : tuple of str
-        Effects that cannot be simulated under its load.
+        Effects that cannot be simulated under the additional load.
     """
 
     name: str
@@ -122,29 +123,29 @@ class PlanSummary:
     noise_mm : float
         Noise of the segmentation.
     travel_mm : mapping of str to float
-        Travel of the plates towards each other, by the name of the load.
+        Travel of the plates towards each other, by name of the load.
     clear : float
         Log Bayes factor that counts as decisive, in nats.
     effects : tuple of PlannedEffect
         Effects that act and could be simulated in all planned scans.
     cosines, log_evidence : tuple of tuple of float
         Similarity of each pair of effects, and expected log Bayes factor of the row's effect
-        against the column's if the former acts.
+        against the column's effect if the former acts.
     pairs, told_apart : int
-        Number of pairs of effects, and of distinguishable pairs.
+        Numbers of pairs of effects and of distinguishable pairs.
     confusable : tuple of ConfusablePair
     silent : tuple of str
         Effects that are invisible.
     not_simulated : tuple of str
-        Loads at which the model does not converge.
+        Loads under which the model does not converge.
     loose : tuple of str
         Effects that would push the body away from its supports.
     without_columns : tuple of str
         Effects that do not act here or cannot be simulated.
     acquisitions : tuple of FurtherMeasurement
-        The best first.
+        Further measurements, the best first.
     caveats : tuple of str, optional
-        Statements shown first, such as a failed plausibility check.
+        Caveats shown first, such as a failed plausibility check.
     """
 
     case: str

@@ -2,7 +2,7 @@
 
 Frozen dataclasses, used by the report, the commands and the blind scores; `records.typed_json`
 writes and reads them. Lengths are in mm, constants in kPa; parameters of effects are stored with
-their unit.
+their units.
 """
 
 from collections.abc import Mapping
@@ -20,9 +20,9 @@ from palpate.workers.mechanics.readings import ShownMagnitude
 
 @dataclass(frozen=True, slots=True)
 class GapEstimate:
-    """A root mean square distance between model and scan without the noise, with its interval.
+    """Root mean square distance between model and scan, less the noise, with its interval.
 
-    `noise_mm` is the observation noise of one point, `points` the number of residuals.
+    `noise_mm` is the observation noise at one point, `points` the number of residuals.
     """
 
     gap_mm: float
@@ -52,7 +52,7 @@ class GapShrinkage:
 
 @dataclass(frozen=True, slots=True)
 class GapSummary:
-    """The gap of all scans, in-sample and with each scan held out.
+    """The gap over all scans, in-sample and with each scan held out.
 
     Parameters
     ----------
@@ -60,25 +60,25 @@ class GapSummary:
         Gap of the nominal model, averaged over all possible causes; see
         `workers.diagnosis.outcome.gap_posterior`.
     noise_floor : float
-        Observation noise of one point, in mm.
+        Observation noise at one point, in mm.
     calibration_floor : float
-        Error of even the true model, in mm.
+        Error that even the true model has, in mm.
     after : GapEstimate or None
         Gap with the named effects; this and the following are None if there are none.
     held_out_before, held_out_after : GapEstimate or None
         Also None for a single scan.
     share, held_out_share : ShareEstimate, optional
-        Also None if "no gap" is in the 90 % set of causes, as the share of a gap that may not
+        Also None if "no gap" is in the 90 % set of causes, because the share of a gap that may not
         exist is undefined.
     held_out : str, optional
         How scans were held out, in words.
     held_out_each : mapping of str to GapShrinkage, optional
-        By the name of the scan.
+        Held-out gap by name of the scan.
     not_judged : tuple of str
-        Scans that cannot be assessed by a fit to the others, which do not constrain them.
+        Scans that cannot be assessed by a fit to the others, because these do not constrain them.
     fitted_mm, undeformed_mm : float, optional
-        Root mean square distance of the scans from the best fit and from the body at rest,
-        including noise. None in records of earlier versions.
+        Root mean square distances from the scans to the best fit and to the body at rest, including
+        noise. None in records of earlier versions.
     """
 
     before: GapEstimate
@@ -108,12 +108,12 @@ class GapSummary:
 
     @property
     def most_of_complete_model_mm(self) -> float:
-        """The largest gap that a model without a missing effect leaves, in 95 % of cases."""
+        """95th percentile of the gap left by a model without a missing effect."""
         return SETTINGS.gap.floor_range[1] * self.calibration_floor
 
     @property
     def is_something_left(self) -> bool:
-        """Whether the named effects clearly leave more than a complete model would."""
+        """Whether the named effects clearly leave a larger gap than a complete model would."""
         left = self.after
         if left is None or left.low_mm < self.calibration_floor:
             return False
@@ -122,7 +122,7 @@ class GapSummary:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceNoise:
-    """Segmentation noise of an interface, stated and learnt: standard deviations in mm.
+    """Segmentation noise of an interface, as given and as learnt: standard deviations in mm.
 
     `learnt_mm` applies to the middle of the body, `least_mm` and `most_mm` to the parts of the
     interface with the smallest and largest noise.
@@ -159,9 +159,9 @@ class RegionGap:
 
 @dataclass(frozen=True, slots=True)
 class ParameterEstimate:
-    """A parameter of an effect, with its standard deviation, in its unit.
+    """Estimate of an effect's parameter, with its standard deviation, in its unit.
 
-    `shown` is the same in the form for readers; None in records of earlier versions.
+    `shown` is the estimate as displayed; None in records of earlier versions.
     """
 
     parameter: str
@@ -179,19 +179,19 @@ class EffectSummary:
     ----------
     name, family, summary : str
     probability : float
-        Probability that the effect acts, alone or with another.
+        Probability that the effect acts, alone or with others.
     magnitude, sd, unit
-        The most significant parameter; for a joint fit averaged over noise and poses, see
-        `workers.diagnosis.outcome.parameter_posterior`.
+        Estimate of the most significant parameter; for a joint fit, averaged over noise and poses,
+        see `workers.diagnosis.outcome.parameter_posterior`.
     parameters : tuple of ParameterEstimate
     log_bayes_factor : float
-        From the screening, in nats.
+        Log Bayes factor from the screening, in nats.
     absorbed_share : float
         Share of the effect that the constants absorb, 0 to 1.
     refitted : bool
-        Whether it was fitted together with the constants.
+        Whether the effect was fitted together with the constants.
     shown : ShownMagnitude, optional
-        The magnitude in the form for readers; see `workers.mechanics.readings`.
+        The magnitude as displayed; see `workers.mechanics.readings`.
     """
 
     name: str
@@ -213,15 +213,15 @@ class EffectSummary:
 
 @dataclass(frozen=True, slots=True)
 class ConstantEstimate:
-    """A constant in kPa, in the nominal model and with the named effects, if any.
+    """Estimates of a constant in kPa, without and with the named effects, if any.
 
     Parameters
     ----------
     before, after : float
     before_interval, after_interval : (float, float), optional
-        90 % intervals of both; None in records of earlier versions.
+        90 % intervals of both estimates; None in records of earlier versions.
     stated : (float, float), optional
-        The interval stated in the case.
+        The interval given in the case.
     converged : bool, optional
         Whether the underlying fit converged.
     depends_on_law : bool, optional
@@ -242,7 +242,7 @@ class ConstantEstimate:
 class JointFitSummary:
     """Gain in log evidence of a joint fit of effects over the nominal model, in nats.
 
-    `field_gain` is the further gain from a smooth field; `values` are all parameters at the
+    `field_gain` is the further gain from a smooth field; `values` holds all parameters at the
     optimum, in internal names and units.
     """
 
@@ -274,7 +274,7 @@ class OverlapFigures:
 
 @dataclass(frozen=True, slots=True)
 class OverlapRow:
-    """Overlap inside one interface of one scan, and the Jaccard index reachable despite noise."""
+    """Overlap inside one interface in one scan, and the Jaccard coefficient reachable in noise."""
 
     scan: str
     interface: str
@@ -285,7 +285,7 @@ class OverlapRow:
 
 @dataclass(frozen=True, slots=True)
 class LoudestPlace:
-    """The place where a lump would explain most; see `diagnosis.outcome.pictures.cause_map`."""
+    """The place where a lump would best explain the residuals; see `outcome.pictures.cause_map`."""
 
     score: float
     x_mm: float
@@ -300,7 +300,7 @@ class LoudestPlace:
 
 @dataclass(frozen=True, slots=True)
 class CauseMapSummary:
-    """Most significant places of the residuals: before, and after with the named effects."""
+    """Most significant places in the maps of causes, before and after adding the named effects."""
 
     before: LoudestPlace
     after: LoudestPlace | None = None
@@ -308,7 +308,7 @@ class CauseMapSummary:
 
 @dataclass(frozen=True, slots=True)
 class NextAcquisition:
-    """A further measurement: pairs of suspects that it separates, hidden effects that it reveals.
+    """A further measurement, the pairs of suspects that it separates, and the effects it reveals.
 
     `minimum_ratio` is the factor by which minimum detectable magnitudes change.
     """
@@ -341,29 +341,30 @@ class Summary:
         Effects that the constants hide.
     no_gap_probability, none_of_these_probability : float
     alarm, threshold : float
-        In nats.
+        Values in nats.
     explained_share : float or None
     gap_mm : GapSummary
     where : tuple of RegionGap
     constants : mapping of str to ConstantEstimate
-        By external names, such as ``E_fat_kpa``.
+        Estimates by external name, such as ``E_fat_kpa``.
     refits : tuple of JointFitSummary
     points, left_out : int
-        Number of points used on the interfaces, and of those not shown clearly by every scan.
+        Numbers of points on the interfaces that were used, and left out as unclear in some scan.
     overlap, cause_map : optional
-        For a scanned body.
+        Only for a scanned body.
     markers, hidden, predictions : optional
-        For a bench experiment.
+        Only for a bench experiment.
     next_acquisitions : optional
-        If further measurements were planned.
+        Only if further measurements were planned.
     noise : tuple of InterfaceNoise, optional
-        Segmentation noise, if it is learnt.
+        Segmentation noise, if it was learnt.
     surfaces, compared : tuple of str, str
         The interfaces, and the location of their points in words.
     not_simulated : optional
-        Causes without an effect in the catalogue, and why; if None, the causes for a breast.
+        Causes without an effect in the catalogue, and the reasons; if None, the causes for a
+        breast.
     caveats : tuple of str, optional
-        Statements shown first, such as a failed plausibility check.
+        Caveats shown first, such as a failed plausibility check.
     doubts : tuple of str, optional
         Sentences shown before the verdict: reasons not to rely on it.
     data_notes : tuple of str, optional

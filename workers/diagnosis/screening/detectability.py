@@ -1,7 +1,7 @@
 """Detectability of effects, computed without the residuals.
 
-Columns are whitened and per prior standard deviation, so parameters with different units can be
-added up.
+Columns are whitened and per prior standard deviation, so that parameters with different units can
+be added up.
 """
 
 from collections.abc import Sequence
@@ -18,10 +18,10 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 NONCENTRALITY = float(
     (ndtri(1 - SETTINGS.detectability.significance / 2) + ndtri(SETTINGS.detectability.power)) ** 2
 )
-"""11.7: a two-sided test at 1 % detects an effect of this strength with 80 % power."""
+"""11.7: a two-sided test at the 1 % level detects an effect of this strength with 80 % power."""
 
 
-INVISIBLE = 1e-6  # share of an effect below which the projected part is rounding error
+INVISIBLE = 1e-6  # share of an effect below which the projected part is only rounding error
 
 
 def absorbed_share(problem: Linearised, whitened: FloatArray) -> float:
@@ -36,17 +36,17 @@ def absorbed_share(problem: Linearised, whitened: FloatArray) -> float:
     Returns
     -------
     float
-        0 to 1; also 1 for an effect without influence.
+        Share from 0 to 1; also 1 for an effect without influence.
     """
     total = float((whitened**2).sum())
     return 1.0 - float((problem.project(whitened) ** 2).sum()) / total if total > 0 else 1.0
 
 
 def hides(problem: Linearised, whitened: FloatArray) -> bool:
-    """Check whether nominal parameters absorb an effect, or leave too little of it to detect.
+    """Return True if the nominal parameters absorb an effect, or leave too little of it to detect.
 
-    Too little means that the test of `NONCENTRALITY` would miss it at a prior standard deviation,
-    on average over the parameters.
+    Too little means that, on average over the parameters, the test of `NONCENTRALITY` would miss an
+    effect of one prior standard deviation.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ def hides(problem: Linearised, whitened: FloatArray) -> bool:
 
 
 def minimum_detectable(problem: Linearised, sensitivity: EffectSensitivity) -> FloatArray:
-    """Return the magnitudes detected with 80 % power at 1 % false alarms, each parameter alone.
+    """Return the magnitude of each parameter alone detected with 80 % power at 1 % false alarms.
 
     ``sqrt(11.7 / B'PB)``, in the units of the parameters.
 
     Returns
     -------
     ndarray, shape (q,)
-        Median over the places; inf for an invisible parameter.
+        Medians over the places; inf for an invisible parameter.
     """
     information = np.array(
         [(B * problem.project(B)).sum(axis=0) for B in sensitivity.whitened(problem)]
@@ -82,14 +82,14 @@ def minimum_detectable(problem: Linearised, sensitivity: EffectSensitivity) -> F
 def confusion(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) -> FloatArray:
     """Return the largest similarity between the visible parts of each pair of effects.
 
-    The largest canonical correlation, the cosine of the smallest principal angle
-    (A. Bjorck and G. H. Golub, Math. Comput. 27 (1973) 579), of the projected columns;
-    for effects with places, the largest over the places.
+    It is the largest canonical correlation of the projected columns, the cosine of the smallest
+    principal angle (A. Bjorck and G. H. Golub, Math. Comput. 27 (1973) 579); for effects with
+    places, the maximum over the places.
 
     Returns
     -------
     ndarray, shape (effects, effects)
-        0 to 1, symmetric, with a diagonal of 1.
+        Similarities from 0 to 1, symmetric, with ones on the diagonal.
     """
     bases = [
         [_basis(problem, B) for B in sensitivity.whitened(problem)] for sensitivity in sensitivities

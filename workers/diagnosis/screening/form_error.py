@@ -1,12 +1,12 @@
-"""Error of form: the difference between a real effect's pattern and the catalogue's.
+"""Form error: the difference between a real effect's pattern and its pattern in the catalogue.
 
 No real effect has exactly the listed form: friction follows another law, a gradient has another
-shape. The true pattern of changed residuals may be smoothly a fifth larger in one place and smaller
-in another. The error acts as a displacement: it moves both sides of a layer alike, so that one
-residual grows and the other shrinks. These errors enter the evidence as columns with a prior. A
-strong effect then neither loses to a field that corrects its form nor beats a similar effect by a
-few nats out of hundreds; a weak effect is hardly changed. The evidence is averaged over the unknown
-size of the error.
+shape. The true pattern of changes in the residuals may be a fifth larger in one place and smaller
+in another, varying smoothly. The error acts as a displacement: it moves both sides of a layer in
+the same way, so that one residual grows and the other shrinks. These errors enter the evidence as
+columns with a prior. A strong effect then neither loses to a field that corrects its form nor beats
+a similar effect by a few nats out of hundreds; the evidence of a weak effect hardly changes. The
+evidence is averaged over the unknown size of the error.
 
 An unlisted cause may resemble a listed one, with larger differences in the pattern. It is modelled
 as the same hypothesis with larger form errors, in which the effects do not act.
@@ -29,10 +29,10 @@ class FormError:
     Parameters
     ----------
     points, normals : ndarray, shape (m, 3)
-        At rest, for each residual.
+        Point at rest and normal of each residual.
     states : ndarray of int, shape (m,)
     state_correlation : ndarray, shape (s, s)
-        For each pair of states.
+        Correlation of each pair of states.
     field_length_mm : float
         Middle correlation length of the smooth field for unlisted causes.
     """
@@ -73,17 +73,17 @@ class FormError:
 
 
 def acting_or_alike(log_evidences: Sequence[float]) -> tuple[float, float]:
-    """Return the log evidence averaged over form errors, and the probability of acting.
+    """Return the log evidence averaged over form errors, and the probability that effects act.
 
     Parameters
     ----------
     log_evidences : sequence of float
-        For errors of each size in ``SETTINGS.form.relative_sds``.
+        Log evidence for errors of each size in ``SETTINGS.form.relative_sds``.
 
     Returns
     -------
     tuple of float
-        Log evidence of effects that act or only resemble an unlisted cause; and the probability
+        Log evidence of effects that act or only resemble an unlisted cause, and the probability
         that they act.
     """
     settings = SETTINGS.form

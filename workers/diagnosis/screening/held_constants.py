@@ -1,8 +1,8 @@
 """Uncertainty of constants that are held fixed.
 
-Every hypothesis holds Poisson's ratio at the value stated in the case. A stated 0.490 has three
-digits, so the changes due to +-0.002 belong to the noise of all hypotheses. The catalogue's effect
-that changes it is far larger.
+Every hypothesis holds Poisson's ratio at the value given in the case. A value of 0.490 has three
+digits, so the changes due to +-0.002 belong to the noise of all hypotheses. The effect in the
+catalogue that changes the ratio is far larger.
 """
 
 from collections.abc import Iterable
@@ -14,12 +14,12 @@ from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivi
 
 
 def held_columns(sensitivities: Iterable[EffectSensitivity], residuals: int) -> FloatArray:
-    """Return the change by one standard deviation of each held constant, shape (m, q), in mm.
+    """Return the change due to one standard deviation of each held constant, (m, q), in mm.
 
     Parameters
     ----------
     sensitivities : iterable of EffectSensitivity
-        Those without a `held_sd` are ignored.
+        Sensitivities; those without a `held_sd` are ignored.
     residuals : int
         Number m of residuals.
     """

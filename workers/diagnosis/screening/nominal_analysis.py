@@ -33,14 +33,14 @@ class NominalAnalysis:
     Parameters
     ----------
     inverse : InverseProblem
-        With the points and the noise of the calibration.
+        Problem with the points and the noise of the calibration.
     nominal : SolvedFit
         Fit of the constants alone.
     sensitivities : sequence of EffectSensitivity
-        For the effects that act on some scan and could be simulated.
+        Sensitivities to the effects that act on at least one scan and could be simulated.
     begun : mapping of str to mapping
-        Starting values by the name of the effect: constants and parameters of single effects that
-        were fitted with an earlier estimate of the noise.
+        Starting values by name of the effect: constants and parameters of single effects that were
+        fitted with an earlier estimate of the noise.
     """
 
     inverse: InverseProblem
@@ -64,11 +64,11 @@ class NominalAnalysis:
         return screen(self.linear, self.sensitivities)
 
     def places(self, effect: Effect) -> FloatArray:
-        """Return the places at which an effect was tried; see `places_of`."""
+        """Return the places at which an effect was evaluated; see `places_of`."""
         return places_of(self.inverse, effect)
 
     def is_steep(self, effect: Effect) -> bool:
-        """Check whether the response to an effect grows faster than its magnitude.
+        """Return True if the response to an effect grows faster than its magnitude.
 
         The linear model then underestimates a large effect.
         """
@@ -78,11 +78,11 @@ class NominalAnalysis:
     def noise(self) -> NoiseModel:
         """Noise model of all hypotheses, with the smooth field for unlisted causes.
 
-        Takes seconds for 4,000 residuals.
+        It takes seconds for 4,000 residuals.
         """
         learnt, prior = self.inverse.learnt, self.inverse.something_else
         if learnt is None:
-            raise ValueError("the noise is learnt with the calibration")
+            raise ValueError("the noise is only known after the calibration")
         zeta = self.inverse.coarsening
         return NoiseModel(learnt.parts, learnt.states, self.fields, prior.amplitudes_mm, zeta)
 
@@ -96,13 +96,13 @@ class NominalAnalysis:
 
     @cached_property
     def _held(self) -> FloatArray:
-        """Columns of held constants; empty for markers, where uncertain constants are fitted."""
+        """Columns of held constants; empty for markers, as uncertain constants are then fitted."""
         m = len(self.inverse.bias)
         return held_columns(self.sensitivities if self.inverse.is_segmented else (), m)
 
     @cached_property
     def _rough(self) -> RoughSurface | None:
-        """None if no effect resembles roughness, or interfaces were measured or have no error."""
+        """Bias from roughness; None if no effect resembles it, or there is no drawing error."""
         skin = next((one for one in self.sensitivities if one.resembles_roughness), None)
         drawn_sd_mm, learnt = self.inverse.noise.reference_sd_mm, self.inverse.learnt
         if skin is None or learnt is None or not (self.inverse.is_segmented and drawn_sd_mm):
@@ -124,7 +124,7 @@ class NominalAnalysis:
 
     @property
     def field(self) -> FloatArray:
-        """Columns of a smooth field of middle amplitude and length, shape (m, r), in mm."""
+        """Columns of a smooth field of medium amplitude and length, shape (m, r), in mm."""
         prior = self.inverse.something_else
         return prior.middle_amplitude_mm * self._smooth_columns(prior.middle_length_mm)
 
@@ -142,7 +142,7 @@ class NominalAnalysis:
 
     @cached_property
     def form(self) -> FormError:
-        """Errors of form of the catalogue's patterns."""
+        """Form errors of the catalogue's patterns."""
         inverse = self.inverse
         normals = np.tile(inverse.points.normals, (len(inverse.scans), 1))
         length_mm = inverse.something_else.middle_length_mm
@@ -150,7 +150,7 @@ class NominalAnalysis:
         return FormError(self._points, normals, inverse.rows, between, length_mm)
 
     def errors_of_form(self, at: LinearHypothesis) -> FloatArray:
-        """Return columns of unit deviation for an error as large as the change by the effects."""
+        """Return columns of unit deviation for form errors as large as the effects' change."""
         changed = self.hypothesis(self.nominal).residual - at.residual
         return self.form.columns(self.registered(changed))
 
@@ -160,12 +160,12 @@ class NominalAnalysis:
 
     @property
     def sensitivity_by_name(self) -> dict[str, EffectSensitivity]:
-        """Sensitivities by the name of the effect."""
+        """Sensitivities by name of the effect."""
         return {one.name: one for one in self.sensitivities}
 
     @property
     def screening_by_name(self) -> dict[str, ScreeningResult]:
-        """Results of the screening by the name of the effect."""
+        """Results of the screening by name of the effect."""
         return {one.name: one for one in self.screening}
 
     @property

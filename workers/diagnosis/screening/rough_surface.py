@@ -1,11 +1,11 @@
-"""Bias from the roughness of the mesh surface, inherited from the segmentation at rest.
+"""Bias due to the roughness of the mesh surface, inherited from the segmentation at rest.
 
 The mesh is made from a smoothed segmented interface and retains some of its error, while the body
-is smooth. Bodies without a skin therefore appear to have a slight one, nearly always above zero,
-both from noise alone and from the model's true error. The likely reason for the first is that
-tension flattens bumps, and the residuals contain the same bumps, as they start from the scan at
-rest. Such a bias grows with the square of the roughness; this is assumed here and was not measured.
-Every hypothesis includes the observed bias with its scatter.
+is smooth. Bodies without a skin therefore appear to have a slight one, with a stiffness nearly
+always above zero, due both to noise alone and to the model's true error. The likely reason for the
+former is that tension flattens bumps, and the residuals contain the same bumps, because they start
+from the scan at rest. Such a bias grows with the square of the roughness; this is assumed here, not
+measured. Every hypothesis includes the observed bias with its scatter.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ class RoughSurface:
     Parameters
     ----------
     expected : ndarray, shape (m,)
-        In mm.
+        Expected bias in mm.
     column : ndarray, shape (m, 1)
         One standard deviation of the bias.
     """
@@ -35,12 +35,13 @@ class RoughSurface:
 
     @staticmethod
     def like(skin: EffectSensitivity, drawn_sd_mm: float) -> "RoughSurface":
-        """Return the bias for a scan at rest whose outline has the given error.
+        """Return the bias for a scan at rest whose outline has an error of the given size.
 
         Parameters
         ----------
         skin : EffectSensitivity
-            For a stiffness per width, in N/mm; the smallest magnitude tried is used.
+            Sensitivity to a skin's stiffness per width, in N/mm; the smallest magnitude tried is
+            used.
         drawn_sd_mm : float
         """
         settings = SETTINGS.noise

@@ -1,4 +1,4 @@
-r"""Linear screening: the support of the residual for each effect, without solving again.
+r"""Linear screening: the support of the residuals for each effect, without solving again.
 
 For an effect with columns B (whitened) and prior covariance S, and the efficient
 residual P rho of `Linearised`:
@@ -7,11 +7,11 @@ residual P rho of `Linearised`:
           \hat\varphi = -H^{-1}g, \quad
           \ln BF = \tfrac12 T - \tfrac12\ln|H| - \tfrac12\ln|S|.
 
-T is Rao's score with a prior, the modification index of structural equation models;
-the estimate is the expected parameter change (W. E. Saris, A. Satorra and
-W. M. van der Veld, Struct. Equ. Modeling 16 (2009) 561). A half-normal prior multiplies
-the Bayes factor by Phi(estimate / sd) / 0.5. An effect with many possible places is averaged over
-them, which corrects for having tried many.
+T is Rao's score with a prior, the modification index of structural equation models; the estimate is
+the expected parameter change (W. E. Saris, A. Satorra and W. M. van der Veld, Struct. Equ. Modeling
+16 (2009) 561). A half-normal prior multiplies the Bayes factor by Phi(estimate / sd) / 0.5. The
+Bayes factor of an effect with many possible places is averaged over them, which corrects for having
+tried many.
 """
 
 from collections.abc import Sequence
@@ -35,22 +35,21 @@ class ScreeningResult:
     ----------
     name : str
     score : float
-        T, at the best place.
+        Score T, at the best place.
     estimate, estimate_sd : ndarray, shape (q,)
-        Expected parameters and their standard deviations, at the best place and in their
-        units. The estimate of a one-sided parameter may be negative, if the data favour the
-        opposite sign.
+        Expected parameters and their standard deviations at the best place, in their units. The
+        estimate of a one-sided parameter may be negative if the data favour the opposite sign.
     log_bayes_factor : float
-        Against the effect being absent, in nats; averaged over the places.
+        Log Bayes factor against the effect being absent, in nats; averaged over the places.
     absorbed : float
         Share of the effect that the nominal parameters absorb, 0 to 1; at the best place.
     hides : bool
-        Whether they hide everything that the data could show; see
+        Whether they hide all of the effect that the data could show; see
         `workers.diagnosis.screening.detectability.hides`.
     place : int
         Index of the best place, or of the best magnitude if several are tried; otherwise 0.
     place_log_bayes_factors : ndarray, shape (g,)
-        For each place or magnitude.
+        Log Bayes factor for each place or magnitude.
     """
 
     name: str
@@ -67,23 +66,23 @@ class ScreeningResult:
 def screen(
     problem: Linearised, sensitivities: Sequence[EffectSensitivity]
 ) -> tuple[ScreeningResult, ...]:
-    """Screen every effect on its own.
+    """Screen every effect separately.
 
     Parameters
     ----------
     problem : Linearised
-        At the fit of the nominal parameters.
+        Linearisation at the fit of the nominal parameters.
     sensitivities : sequence of EffectSensitivity
 
     Returns
     -------
     tuple of ScreeningResult
-        The largest Bayes factor first.
+        Results, the largest Bayes factor first.
 
     Raises
     ------
     InputError
-        If the number of residuals of a sensitivity differs.
+        If a sensitivity has a different number of residuals.
     """
     screening = [_look_at(problem, sensitivity) for sensitivity in sensitivities]
     return tuple(sorted(screening, key=lambda result: -result.log_bayes_factor))
@@ -111,9 +110,9 @@ def _look_at(problem: Linearised, sensitivity: EffectSensitivity) -> ScreeningRe
 
 
 def _efficient(problem: Linearised, B: FloatArray) -> Quadratic:
-    """Return the misfit as a function of the effect alone, nominal parameters integrated out.
+    """Return the misfit as a function of the effect alone, integrating out nominal parameters.
 
-    The constant part is common to both hypotheses and omitted.
+    The constant part is common to both hypotheses and therefore omitted.
     """
     gradient = B.T @ problem.efficient_residual
     return Quadratic(np.zeros(()), gradient, B.T @ problem.project(B), np.zeros(()))

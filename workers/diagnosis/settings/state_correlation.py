@@ -1,7 +1,7 @@
 """Correlation of model errors between two states of a body.
 
-Plates that press along another direction touch and bend other parts of the body, where a mesh error
-or a missing cause produces a different displacement.
+Plates that press in another direction touch and bend other parts of the body, where a mesh error or
+a missing cause produces a different displacement.
 """
 
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ class StateCorrelation:
     Parameters
     ----------
     along : float
-        For two loads along the same direction, 0 to 1.
+        Correlation for two loads in the same direction, 0 to 1.
     across : float
-        For two loads at right angles; no more than `along`.
+        Correlation for two loads at right angles; no larger than `along`.
 
     Raises
     ------
@@ -40,10 +40,10 @@ class StateCorrelation:
             )
 
     def between(self, directions: FloatArray) -> FloatArray:
-        """Return the correlation of all pairs of states, shape (s, s), ones on the diagonal.
+        """Return the correlations of all pairs of states, shape (s, s), with ones on the diagonal.
 
-        Between parallel and perpendicular it varies with the squared cosine, which keeps the matrix
-        positive semi-definite.
+        Between parallel and perpendicular directions, it varies with the squared cosine, which
+        keeps the matrix positive semi-definite.
 
         Parameters
         ----------

@@ -1,11 +1,11 @@
-"""All numbers that a verdict depends on, in one frozen value, with their sources.
+"""All numbers on which a verdict depends, in one frozen value, with their sources.
 
 Sources are named in brackets: [principle] follows from theory or is a convention of statistics;
 [prior] was assumed before any data; [numerics] is an accuracy or a bound of an algorithm; [cost]
 limits computation; [null replicates] was set on bodies without any missing effect, drawn by the
-blind solver with other seeds than any sealed set; [set 4], [hard set 5] were set after those blind
-sets had been opened, which are therefore no test of them; [open cases] was set while looking at the
-open cases of FEBio; [by hand] was chosen when that part was built, without a record of the reason.
+blind solver with seeds that no sealed set uses; [set 4], [hard set 5] were set after those blind
+sets had been opened, so these sets do not test them; [open cases] was set while looking at the open
+cases of FEBio; [by hand] was chosen when that part was written, without a record of the reason.
 
 The seal of a blind set contains this whole value; see `blind.sealed.sealed_settings`. Constants
 that only affect drawings are in `workers.diagnosis.outcome.pictures`.
@@ -30,37 +30,39 @@ class MeshSettings:
 
     # [cost] Nodes of the working mesh: a verdict in a minute or two.
     nodes: int = 5000
-    # [cost] Nodes of the mesh that estimates the mesh error, relative to the working mesh: elements
-    # smaller by 2.8^(1/3) = 1.4.
+    # [cost] Nodes of the mesh used to estimate the mesh error, relative to the working mesh:
+    # elements are smaller by a factor of 2.8^(1/3) = 1.4.
     finer_ratio: float = 2.8
     # [gap-opened, gap-opened2] Standard deviation of the logarithm of a stiffness fitted to a body
     # that another solver deformed. FEBio's elements of 6 mm have the mean modulus of the tissues in
-    # them: E_fat is 3 to 12 % larger in the fits, E_gl 1 to 8 % smaller. On own meshes of 50,000
-    # nodes it is 0.5 and 2 %.
+    # them: E_fat is 3 to 12 % larger in the fits, E_gl 1 to 8 % smaller. On our own meshes of
+    # 50,000 nodes, the differences are 0.5 and 2 %.
     stiffness_sd: float = 0.06
 
 
 @dataclass(frozen=True, slots=True)
 class PointSettings:
-    """Settings of the points on the interfaces, at which model and scans are compared."""
+    """Settings of the points on the interfaces at which model and scans are compared."""
 
-    # [cost] Distance of neighbours; a breast then has some 900 points in each scan.
+    # [cost] Distance between neighbours; a breast then has some 900 points in each scan.
     spacing_mm: float = 6.0
     # [cost] With more loaded scans, points are sparser, for about the same number of residuals.
     scans_at_that_spacing: int = 2
-    # [principle] Points this close to the chest wall are where the image was cut.
+    # [principle] Points this close to the chest wall are where the image was cropped.
     wall_margin_mm: float = 4.0
-    # [principle] Minimum tissue on either side of a point in the reference scan, and radius around
-    # its predicted position in a deformed scan without a second interface, in standard deviations
-    # of the segmentation: at 5 of them noise alone reaches no other interface.
+    # [principle] Minimum thickness of tissue on either side of a point in the reference scan, and
+    # radius around its predicted position in a deformed scan that must not contain a second
+    # interface, in standard deviations of the segmentation: within 5 of them, noise alone reaches
+    # no other interface.
     clear_noises: float = 5.0
-    # [by hand] Part of that radius by which the distance may differ: curvature and blur.
+    # [by hand] Fraction of that radius by which the distance may differ, due to curvature and blur.
     clear_slack: float = 0.1
     # [numerics] Radii of the discs over which an interface is averaged, in correlation lengths of
-    # the segmentation: the first, or the widest on which it is flat. On a disc of one length the
-    # noise keeps 0.6 of its slope, on one of two 0.3.
+    # the segmentation: the first, or the widest on which it is flat. Averaged over a disc of one
+    # length, the noise keeps 0.6 of its slope; over a disc of two lengths, 0.3.
     discs: tuple[float, ...] = (0.7, 1.0, 1.4, 2.0)
-    # [numerics] Rings of a disc with its middle: parts of its radius, and the points on each.
+    # [numerics] Rings of a disc, besides its centre: fractions of its radius, and the number of
+    # points on each.
     disc: tuple[tuple[float, int], ...] = ((0.5, 6), (1.0, 8))
     # [numerics] Length of the averaged normal above which an interface counts as flat, and smallest
     # length that is rescaled to one.
@@ -72,7 +74,8 @@ class PointSettings:
 class FitSettings:
     """Settings of the Gauss-Newton method."""
 
-    # [numerics] Most fits take 3 to 6; along the valley of a law with two similar terms it was 23.
+    # [numerics] Maximum number of iterations. Most fits take 3 to 6; along the valley of a law with
+    # two similar terms, one took 23.
     max_iterations: int = 30
     # [numerics] The last trial of a line search is 0.4^7 = 0.002 of the initial step: the whole
     # step, or 1 / 0.4 of the last successful fraction.
@@ -83,36 +86,38 @@ class FitSettings:
     # it.
     underrated: float = 1.5
     further: float = 2.0
-    # [principle] A decrease of minus twice the log posterior below this changes no verdict: 0.025
+    # [principle] A decrease in minus twice the log posterior below this changes no verdict: 0.025
     # nats.
     tolerance: float = 0.05
-    # [cost] The same for localised effects, a tenth of a nat: beyond that the fit crawls along a
-    # valley. A lump of an opened case took 11 iterations instead of 3 and lost 1.4 nats of
-    # evidence, as the valley narrows.
+    # [cost] The same threshold for localised effects, a tenth of a nat: below that, the fit crawls
+    # along a valley. A lump in an opened case took 11 iterations instead of 3 and lost 1.4 nats of
+    # evidence, because the valley narrows.
     place_tolerance: float = 0.2
     # [principle] If no step decreases the cost, or only by less than the tolerance, the fit has
     # converged if the expected decrease was below this: half a nat.
     at_rest: float = 1.0
-    # [cost] Number of successive steps with a smaller decrease than the tolerance, although more
-    # was expected, after which a fit ends without convergence.
+    # [cost] Number of successive steps with a decrease below the tolerance, although more was
+    # expected, after which a fit ends without convergence.
     stalls: int = 2
     # [principle] The prior alone has a curvature of one: smaller curvatures suggested by earlier
     # steps are not reliable.
     least_curvature: float = 0.5
     # [numerics] Longest step of a parameter in prior standard deviations.
     longest_step: float = 1.5
-    # [numerics] Relative error of tangents: of a tilt and a lump 1e-5 changes evidence by less
-    # than 0.01 nats.
+    # [numerics] Relative error of tangents: for a tilt and a lump, 1e-5 changes the evidence by
+    # less than 0.01 nats.
     tangent_error: float = 1e-4
-    # [numerics] Difference of the logarithm of a constant for its derivative.
+    # [numerics] Step in the logarithm of a constant for its derivative.
     log_step: float = 1e-4
-    # [by hand] Difference of friction in prior standard deviations. The response to friction is
-    # steepest at zero and then saturates, so the tangent at zero overestimates it several-fold.
+    # [by hand] Step in friction for its derivative, in prior standard deviations. The response to
+    # friction is steepest at zero and then saturates, so the tangent at zero overestimates it
+    # several-fold.
     friction_step: float = 0.2
-    # [cost] Within this, in the same unit, the derivative by friction is reused.
+    # [cost] Within this change, in the same unit, the derivative with respect to friction is
+    # reused.
     friction_near: float = 0.15
-    # [cost] Load steps when friction is fitted: for a coefficient of 0.04 four find 0.039, eight
-    # 0.0394 and sixteen 0.0397; evidence differs by 0.04 nats.
+    # [cost] Load steps when friction is fitted: for a coefficient of 0.04, four steps find 0.039,
+    # eight 0.0394 and sixteen 0.0397; the evidence differs by 0.04 nats.
     friction_steps: int = 4
 
 
@@ -120,23 +125,23 @@ class FitSettings:
 class SensitivitySettings:
     """Settings of the sensitivities of the nominal fit's residuals to effects."""
 
-    # [cost] Spacing of places at which a lump is tried: one of 10 mm radius is met.
+    # [cost] Spacing of places at which a lump is tried: no lump of 10 mm radius is missed.
     inside_grid_mm: float = 12.0
     # [principle] Minimum depth of these places inside the body: half a lump.
     inside_depth_mm: float = 6.0
     # [cost] Spacing of places on the boundary at which an attachment is tried, for its smallest
-    # radius; in proportion for larger ones.
+    # radius; proportionally larger for larger radii.
     boundary_grid_mm: float = 20.0
     # [by hand] Magnitudes at which a one-sided effect is tried, in prior standard deviations: a
-    # plausible one, and one near zero, where such effects are steepest.
+    # plausible magnitude, and one near zero, where such effects are steepest.
     secant_magnitudes: tuple[float, ...] = (1.0, 0.25)
     # [numerics] Number of halvings of a magnitude that cannot be simulated.
     secant_halvings: int = 2
-    # [numerics] Columns only select effects to be fitted. Relative error of a tangent, and of the
-    # hundreds of tangents at places (columns of 300 places are off by 0.4 to 0.5 % in the median,
-    # 2 % at most); last Newton step of a secant in mm (0.3 % at most); load steps of its friction
-    # (one finds 1.2 times the result of eight at the larger magnitude, rotated by 1.8 degrees, and
-    # 1.02 times, rotated by 0.6, at the smaller one).
+    # [numerics] Columns only serve to select effects to be fitted. Relative error of a tangent, and
+    # of the hundreds of tangents at places (columns at 300 places are off by 0.4 to 0.5 % in the
+    # median, 2 % at most); last Newton step of a secant in mm (0.3 % at most); load steps of its
+    # friction (one finds 1.2 times the result of eight at the larger magnitude, rotated by 1.8
+    # degrees, and 1.02 times, rotated by 0.6, at the smaller one).
     tangent_error: float = 1e-4
     place_error: float = 5e-3
     secant_step_mm: float = 0.05
@@ -147,7 +152,7 @@ class SensitivitySettings:
 class DetectabilitySettings:
     """Settings of the detectability of an effect."""
 
-    # [principle] A two-sided test at 1 % that detects an effect in 80 % of cases.
+    # [principle] Level and power of a two-sided test: 1 %, detecting an effect in 80 % of cases.
     significance: float = 0.01
     power: float = 0.8
     # [by hand] Absorbed share above which only a strong effect is visible.
@@ -161,58 +166,58 @@ class DetectabilitySettings:
 class JointFitSettings:
     """Settings of the selection of effects for joint fits, and of their starting points."""
 
-    # [cost] Number of single effects that are fitted: the best by screening.
+    # [cost] Number of single effects that are fitted: those that screening ranks highest.
     singles: int = 5
-    # [by hand] If the best one gains more than this, in nats, one effect whose response grows
-    # faster than its magnitude is fitted too: constants fitted without it hide most of it. For a
-    # body between plates that begin 5 mm in front of the wall, that effect gains 2.9 nats by
-    # screening, and 59 more than any other effect after a fit.
+    # [by hand] If the best effect gains more than this, in nats, one effect whose response grows
+    # faster than its magnitude is fitted too, because constants fitted without it hide most of it.
+    # For a body between plates that begin 5 mm in front of the wall, that effect gains 2.9 nats in
+    # the screening, and 59 more than any other effect after a fit.
     far_off: float = 10.0
     # [cost] Number of the best effects that are paired with each other.
     partners: int = 3
-    # [by hand] An effect this far behind the best one by screening, in nats, is not fitted, nor
+    # [by hand] An effect this far behind the best in the screening, in nats, is not fitted, nor
     # fitted again after a second reading of the noise.
     far_behind: float = 60.0
-    # [by hand] Unless it gains this part of the best one's gain: if data are much finer than the
-    # effects, the linear model errs by more than that.
+    # [by hand] The exception is an effect that gains this fraction of the best gain: if the data
+    # are much finer than the effects, the linear model is off by more than that.
     nearly: float = 0.5
-    # [cost] An effect that gains less than this, in nats, is not fitted. In 20 opened bodies none
-    # of 18 such refits gained more than 1.4 nats, and most lost some; a lump takes 10 to 30 s.
+    # [cost] An effect that gains less than this, in nats, is not fitted. In 20 opened bodies, none
+    # of 18 such refits gained more than 1.4 nats, and most lost evidence; a lump takes 10 to 30 s.
     least_gain: float = 1.0
-    # [by hand] Pairs are fitted if a smooth field gains this much on top of the best effect.
+    # [by hand] Pairs are fitted if a smooth field gains this much in addition to the best effect.
     left_over: float = 1.0
-    # [principle] A pair is also fitted if the second effect gains this much coarsened evidence by
-    # screening: twenty to one. The same rule applies to a third effect with the best pair.
+    # [principle] A pair is also fitted if the second effect gains this much coarsened evidence in
+    # the screening: twenty to one. The same rule applies to a third effect with the best pair.
     second_gain: float = 3.0
     # [cost] Number of third effects that are fitted.
     thirds: int = 2
-    # [numerics] Start of a fit, as a part of the value expected from screening. A one-sided
-    # parameter, which has a secant, starts at the expected value.
+    # [numerics] Start of a fit, as a fraction of the value expected from screening. A one-sided
+    # parameter, which has a secant, starts at the expected value itself.
     start: float = 0.5
-    # [numerics] It starts no closer to zero, where it is steepest, than this part of its prior
-    # standard deviation, and no further out than that many of them.
+    # [numerics] It starts no closer to zero, where the response is steepest, than the first of
+    # these numbers of prior standard deviations, and no further out than the second.
     least_start: float = 0.1
     most_start: float = 1.5
     # [numerics] The minimum for a response that grows faster than its magnitude: an edge of 2.5 mm.
-    # From 5 mm three bodies reach the same optima, one of them in twice the time.
+    # From 5 mm, three bodies reach the same optima, one of them in twice the time.
     steep_start: float = 0.5
     # [numerics] Fractions of these starting sizes that are tried, one after another, until one can
-    # be simulated: a wall that yields may fold between them.
+    # be simulated: a compliant wall may fold between them.
     start_shares: tuple[float, ...] = (1.0, 0.5)
     # [cost] Number of the best places from which the fit of a localised effect starts.
     place_starts: int = 2
     # [cost] Iterations after which only the best of several starts continues.
     trial_iterations: int = 3
-    # [numerics] Minimum distance of starting places in units of the grid spacing, as neighbours
-    # lead to the same optimum.
+    # [numerics] Minimum distance between starting places in units of the grid spacing, because
+    # neighbours lead to the same optimum.
     places_apart: float = 1.5
-    # [principle] A place this far behind the best one, in nats, is not tried: twenty to one.
+    # [principle] A place this far behind the best place, in nats, is not tried: twenty to one.
     places_behind: float = 3.0
     # [numerics] Starting size of a two-sided localised effect, in prior standard deviations: the
     # maximum, and the value if the screening expects zero.
     most_place_start: float = 0.67
     least_place_start: float = 0.067
-    # [numerics] Largest change of a constant that compensates for an effect, in prior sd.
+    # [numerics] Largest change in a constant to compensate for an effect, in prior sd.
     most_compensation: float = 2.0
 
 
@@ -220,8 +225,8 @@ class JointFitSettings:
 class FieldSettings:
     """Settings of the smooth field for unlisted causes.
 
-    An unknown displacement along the normals; see `noise.nuisances.smooth_covariance` (the
-    model discrepancy of M. C. Kennedy and A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
+    The field is an unknown displacement along the normals; see `noise.nuisances.smooth_covariance`
+    (the model discrepancy of M. C. Kennedy and A. O'Hagan, J. R. Stat. Soc. B 63 (2001) 425).
 
     Raises
     ------
@@ -229,16 +234,18 @@ class FieldSettings:
         If a number is out of range.
     """
 
-    # [prior] Standard deviations and correlation lengths of the displacement, all pairs equally
-    # probable: from the noise of a segmentation to a third of a breast.
+    # [prior] Standard deviations and correlation lengths of the displacement, with all pairs
+    # equally probable: from the noise of a segmentation to a third of a breast.
     amplitudes_mm: tuple[float, ...] = (0.1, 0.3, 0.8)
     lengths_mm: tuple[float, ...] = (12.0, 20.0, 35.0)
-    # [prior] Between two states: a missing cause acts in all of them, with slight differences.
-    # [sets 11 and 12, hard sets 8 and 9] Across, the missing causes of 41 bodies are likelier by 30
-    # nats in the median with 0.2 to 0.4 than with 0.8; a moved chest wall favours 0.8.
+    # [prior] Correlation between two states: a missing cause acts in all states, with slight
+    # differences. [sets 11 and 12, hard sets 8 and 9] Across directions, the missing causes of 41
+    # bodies are likelier by a median of 30 nats with 0.2 to 0.4 than with 0.8; a moved chest wall
+    # favours 0.8.
     state_correlation: StateCorrelation = field(default=StateCorrelation(along=0.8, across=0.3))
-    # [numerics] Variance that the low rank may neglect at a point, for a field of unit amplitude:
-    # for the largest field, less than a seventh of the variance of a segmentation of 0.25 mm.
+    # [numerics] Variance that the low-rank factor may neglect at a point, for a field of unit
+    # amplitude: for the largest field, less than a seventh of the variance of a segmentation of
+    # 0.25 mm.
     rank_tolerance: float = 0.05
 
     def __post_init__(self) -> None:
@@ -270,9 +277,10 @@ class OddsSettings:
     pair_and_field: float = 0.01
     triple: float = 0.025
     triple_and_field: float = 0.005
-    # Probability that effects combined with an unlisted cause really act and do not only resemble a
-    # part of it. If they act, the share of the evidence due to the unlisted cause is small,
-    # exponential with the mean below; if they only resemble it, any share is equally probable.
+    # Probability that effects combined with an unlisted cause really act, rather than only
+    # resembling a part of it. If they act, the share of the evidence due to the unlisted cause is
+    # small, exponentially distributed with the mean below; if they only resemble it, all shares are
+    # equally probable.
     beside_unlisted: float = 0.5
     unlisted_part: float = 0.1
 
@@ -292,18 +300,19 @@ class GapSettings:
 
     # [principle] Probability of intervals.
     level: float = 0.9
-    # [sets 5, 6, 7, hard] The remaining error of 48 blind bodies with the named effects, and of
-    # 14 nominal models without a missing effect, is in the median this many times the counted
-    # floor; 90 % are between these multiples of the median.
+    # [sets 5, 6, 7, hard] The remaining error of 48 blind bodies with the named effects, and of 14
+    # nominal models without a missing effect, has a median of this many times the counted floor; 90
+    # % are between these multiples of the median.
     floor_factor: float = 1.3
     floor_range: tuple[float, float] = (0.62, 1.7)
-    # [hard set 17, open cases] Part of the floor that the draws of constants, forms and fields do
-    # not include: on 60 bodies of the hard world intervals contain 48 true gaps with none of it, 46
-    # with this and 41 with 1.3. Models of nine bodies of FEBio with the right effect have errors of
-    # 0.12 to 0.19 mm, where 0.09 to 0.15 is reported with this and 0.11 to 0.18 with 1.3.
+    # [hard set 17, open cases] Fraction of the floor that the draws of constants, forms and fields
+    # do not include: on 60 bodies of the hard world, the intervals contain 48 true gaps with a
+    # fraction of zero, 46 with this value and 41 with 1.3. Models of nine FEBio bodies with the
+    # right effect have errors of 0.12 to 0.19 mm, where 0.09 to 0.15 is reported with this value
+    # and 0.11 to 0.18 with 1.3.
     undrawn: float = 0.8
-    # [set 4] Relative standard deviation of the error of the noise variance between cases: the mean
-    # square of residuals scatters by 6 % instead of the theoretical 4 %.
+    # [set 4] Relative standard deviation of the error in the noise variance between cases: the mean
+    # square of the residuals scatters by 6 % instead of the theoretical 4 %.
     noise_variance_sd: float = 0.045
     # [sets 5, 6, 7, hard] Half of an excess is credited if it is this many of its standard
     # deviations.
@@ -315,15 +324,16 @@ class GapSettings:
     draws: int = 400
     seed: int = 0
     # [numerics] A scan is not assessed by a fit to the others that moves it by more than this many
-    # times the nominal model's error there, beyond the range of a linear model. For 12 bodies of
-    # FEBio fits move scans by 1.1 times at most, one that does not constrain an edge by hundreds.
+    # times the nominal model's error there, beyond the range of a linear model. For 12 FEBio
+    # bodies, fits move scans by at most 1.1 times that error, but a fit that does not constrain an
+    # edge moves them by hundreds.
     unseen_reach: float = 3.0
     # [numerics] Less probable hypotheses are left out of the posterior: they would not change a 90
     # % interval.
     heard: float = 0.01
     # [numerics] A region is significant if its interval stays above this.
     nothing_mm: float = 1e-9
-    # [principle] Minimum number of residuals in a region for a gap of its own.
+    # [principle] Minimum number of residuals for which a region has its own gap.
     fewest_residuals: int = 8
 
 
@@ -333,19 +343,20 @@ class PlanSettings:
 
     # [principle] Log Bayes factor that counts as decisive: twenty to one.
     clear: float = 3.0
-    # [principle] An effect that moves the body this far meets no resistance: no organ could.
+    # [principle] An effect that moves the body this far meets no resistance: no organ could move as
+    # far.
     drift_mm: float = 100.0
     # [prior] Accuracy of the plate distance shown by a device.
     plates_sd_mm: float = 0.5
     # [prior] Accuracy of the logarithm of a measured stiffness.
     stiffness_sd: float = 0.1
-    # [prior] Forces of further loads, relative to the lightest and the heaviest planned one.
+    # [prior] Forces of further loads, relative to the lightest and the heaviest planned load.
     lighter: float = 0.5
     heavier: float = 2.0
-    # [prior] Largest factor on the closing of plates at a distance: twice the closing would crush
-    # the body.
+    # [prior] Largest factor on the closure of plates at a given distance: twice the closure would
+    # crush the body.
     farther: float = 1.25
-    # [by hand] Cosine above which two directions of compression are one view: 14 degrees.
+    # [by hand] Cosine above which two directions of compression count as one view: 14 degrees.
     same_view_cosine: float = 0.97
 
 

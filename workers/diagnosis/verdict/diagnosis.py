@@ -5,13 +5,13 @@
     nominal analysis --> joint fits of single effects --> of pairs --> of three --> verdict
                            |            ^  (each joint fit is independent of the others)
                            v            |
-                       second reading of the noise, if the best fit is far from the nominal one
+                       second reading of the noise, if the best fit is far from the nominal fit
 
 Every effect that the verdict names is fitted, and all hypotheses are weighed again: screening can
-miss a motion shared by all scans, which the poses absorb one by one. Before the verdict is "none of
-these", every visible effect is fitted. An effect that the constants
-hide but that the data still support is fitted too, alone and together with the best visible
-effect; otherwise it could be mistaken for the cause of what another effect leaves unexplained.
+miss a motion shared by all scans, which the poses absorb scan by scan. Before the verdict is "none
+of these", every visible effect is fitted. An effect that the constants hide but that the data still
+support is fitted too, alone and together with the best visible effect; otherwise it could be taken
+for the cause of residuals that another effect leaves unexplained.
 
 `diagnose` is a generator: it yields requests for joint fits and receives the fits, or yields a
 request for a second reading and receives the new analysis. The caller decides who computes a fit
@@ -51,21 +51,24 @@ class SecondReading:
 Wanted = Sequence[Combination] | SecondReading
 Answer = Sequence[JointFit | None] | NominalAnalysis
 Course = Generator[Wanted, Answer, "Diagnosis"]
-"""Yields combinations to be fitted and receives the fits in the same order, None for one that
-could not be simulated. Or yields a second reading and receives the new analysis, which applies to
-all later fits. Returns the diagnosis."""
+"""Generator that yields requests and returns the diagnosis.
+
+It yields combinations to be fitted and receives the fits in the same order, None for a combination
+that could not be simulated; or it yields a second reading and receives the new analysis, which
+applies to all later fits.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The verdict and everything it is based on.
+    """The verdict and everything on which it is based.
 
     Parameters
     ----------
     analysis : NominalAnalysis
     verdict : Verdict
     joint_fits : dict of tuple of str to JointFit
-        By the names of the effects, in the order requested.
+        Joint fits by the names of their effects, in the order requested.
     hypotheses : tuple of Hypothesis
     """
 
@@ -116,7 +119,7 @@ def diagnose(analysis: NominalAnalysis, effects: Sequence[Effect]) -> Course:
 def _of_all(
     analysis: NominalAnalysis, known: dict[str, Effect], joint_fits: dict[tuple[str, ...], JointFit]
 ) -> Generator[Wanted, Answer, dict[tuple[str, ...], JointFit]]:
-    """Request fits of all other visible effects, and of new combinations with them.
+    """Request fits of all other visible effects, and of the resulting new combinations.
 
     A strong effect may change the constants so much that the linear model does not show it.
     """
@@ -135,7 +138,7 @@ def _weighed_up(
     known: dict[str, Effect],
     joint_fits: dict[tuple[str, ...], JointFit],
 ) -> tuple[Verdict, tuple[Hypothesis, ...]]:
-    """Return the verdict and the hypotheses weighed."""
+    """Return the verdict and the weighed hypotheses."""
     hypotheses = weigh(analysis, joint_fits)
     families = {one.name: known[one.name].family for one in analysis.sensitivities}
     odds = PriorOdds(of_effect={one.name: known[one.name].odds for one in analysis.sensitivities})
@@ -143,7 +146,7 @@ def _weighed_up(
 
 
 def unfitted(reached: Verdict, joint_fits: Collection[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Return the names of effects on which a verdict depends but which were not fitted."""
+    """Return the effects on which a verdict depends, but which were not fitted."""
     fitted = {name for names in joint_fits for name in names}
     found: list[tuple[str, ...]] = [(name,) for name in sorted(set(reached.primary) - fitted)]
     doubt = 1.0 - SETTINGS.verdict.credible
@@ -174,7 +177,7 @@ def advance(course: Course, answer: Answer | None = None) -> Wanted | Diagnosis:
 def base_of(effects: Sequence[Effect]) -> tuple[str, ...]:
     """Return the names of the effects whose joint fit is the starting point: all but the last.
 
-    A combination is requested after the one that it extends.
+    A combination is requested after the combination that it extends.
     """
     return tuple(effect.name for effect in effects[:-1])
 
@@ -182,9 +185,9 @@ def base_of(effects: Sequence[Effect]) -> tuple[str, ...]:
 def weigh(
     analysis: NominalAnalysis, joint_fits: dict[tuple[str, ...], JointFit]
 ) -> tuple[Hypothesis, ...]:
-    """Return the evidence of every hypothesis, from its joint fit or else the linear model.
+    """Return the evidence for every hypothesis, from its joint fit or else from the linear model.
 
-    For joint fits it includes the form error; see `workers.diagnosis.screening.form_error`.
+    For joint fits, it includes the form error; see `workers.diagnosis.screening.form_error`.
     """
     nominal = analysis.hypothesis(analysis.nominal)
     joint = JointEvidence(nominal, analysis.sensitivities, analysis.noise)

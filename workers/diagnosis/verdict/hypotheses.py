@@ -1,9 +1,8 @@
 """Hypotheses with their prior and posterior probabilities.
 
-An image may show no gap, a gap that no listed effect explains (a smooth field alone), or one to
-three effects, with or without a smooth field for other causes. The evidence of each hypothesis
-allows for real effects that differ from their listed form; see
-`workers.diagnosis.screening.form_error`.
+Scans may show no gap, a gap that no listed effect explains (a smooth field alone), or one to three
+effects, with or without a smooth field for other causes. The evidence of each hypothesis allows for
+real effects that differ from their listed form; see `workers.diagnosis.screening.form_error`.
 """
 
 import dataclasses
@@ -25,17 +24,17 @@ Case = tuple[tuple[str, ...], bool]
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """Evidence of some effects acting together.
+    """Evidence for a set of effects acting together.
 
     Parameters
     ----------
     effects : tuple of str
-        None to three.
+        Zero to three effects.
     log_evidence : float
-        In nats, on one scale for all hypotheses; from the linear model if the effects were not
-        refitted.
+        Log evidence in nats, on a common scale for all hypotheses; from the linear model if the
+        effects were not refitted.
     discrepancy_gain : float, optional
-        Increase due to a smooth field; None if it was not tried.
+        Increase in log evidence due to a smooth field; None if no field was tried.
     acting, acting_beside : float
         Probability that the effects act rather than resemble an unlisted cause, without and with
         a smooth field; see `workers.diagnosis.screening.form_error`.
@@ -43,7 +42,7 @@ class Hypothesis:
     Raises
     ------
     InputError
-        If there are more than three effects, or one twice, or the evidence is not finite.
+        If there are more than three effects, an effect is repeated, or the evidence is not finite.
     """
 
     effects: tuple[str, ...]
@@ -60,25 +59,26 @@ class Hypothesis:
         if not np.isfinite([self.log_evidence, self.discrepancy_gain or 0.0]).all():
             raise InputError(
                 f"The evidence of {self.effects or 'no effect'} must be finite, found "
-                f"{self.log_evidence} and {self.discrepancy_gain}. Leave out what did not converge."
+                f"{self.log_evidence} and {self.discrepancy_gain}. Omit hypotheses that did not "
+                "converge."
             )
 
     @property
     def best(self) -> float:
-        """Log evidence, with the field if that is larger."""
+        """Log evidence, with the field if that increases it."""
         return self.log_evidence + max(0.0, self.discrepancy_gain or 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class PriorOdds:
-    """Prior odds of each kind of hypothesis, split among its members.
+    """Prior odds of each kind of hypothesis, split among the hypotheses of that kind.
 
     The split is even, except for the factors of single effects in `of_effect`.
 
     Raises
     ------
     InputError
-        If one is not positive.
+        If any odds are not positive.
     """
 
     kinds: OddsSettings = SETTINGS.prior_odds
@@ -125,13 +125,13 @@ def probabilities(
     hypotheses : sequence of Hypothesis
     catalogue : int
         Number of listed effects. A missing hypothesis keeps its share of the prior odds, so
-        choosing candidates by the data gives no advantage.
+        selecting candidates by means of the data gives no advantage.
     odds : PriorOdds, optional
 
     Returns
     -------
     dict of Case to float
-        Sums to 1.
+        Probabilities, which sum to 1.
     """
     odds = odds or PriorOdds()
     logs: dict[Case, float] = {}

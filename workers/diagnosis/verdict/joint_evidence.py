@@ -1,7 +1,7 @@
-"""Evidence of all hypotheses in the linear model, from one table of inner products.
+"""Evidence for all hypotheses in the linear model, from one table of inner products.
 
-Every hypothesis frees a subset of the same columns, so its curvature and gradient are parts of
-the full ones. Hundreds of hypotheses, with the smooth field and for many vectors of residuals,
+Every hypothesis frees a subset of the same columns, so its curvature and gradient are parts of the
+full arrays. Hundreds of hypotheses, with the smooth field and for many vectors of residuals,
 therefore cost little more than one.
 """
 
@@ -18,7 +18,7 @@ from palpate.workers.diagnosis.algebra.evidence import Quadratic, log_marginal
 from palpate.workers.diagnosis.noise.evidence import LinearHypothesis, NoiseModel, with_pose_scales
 from palpate.workers.diagnosis.verdict.hypotheses import Hypothesis
 
-AT_ONCE = 512  # places: a few megabytes of their curvatures
+AT_ONCE = 512  # number of places whose curvatures take a few megabytes
 
 
 class JointEvidence:
@@ -27,16 +27,16 @@ class JointEvidence:
     Parameters
     ----------
     nominal : LinearHypothesis
-        At the fit of the nominal parameters.
+        Linearisation at the fit of the nominal parameters.
     sensitivities : sequence of EffectSensitivity
-        With different names.
+        Sensitivities with distinct names.
     noise : NoiseModel
-        Of the same residuals.
+        Noise of the same residuals.
 
     Raises
     ------
     InputError
-        If names repeat or numbers of residuals differ.
+        If a name is repeated or the numbers of residuals differ.
     """
 
     def __init__(
@@ -81,11 +81,11 @@ class JointEvidence:
         return tuple(self._columns)
 
     def log_evidence(self, effects: tuple[str, ...]) -> float:
-        """Return the log evidence of effects acting together, averaged over places and noise."""
+        """Return the log evidence for effects acting together, averaged over places and noise."""
         return self._average(self._plain, effects)
 
     def hypothesis(self, effects: tuple[str, ...]) -> Hypothesis:
-        """Return the evidence of effects acting together, with and without the smooth field."""
+        """Return the evidence for effects acting together, with and without the smooth field."""
         alone = self.log_evidence(effects)
         if self._field is None:
             return Hypothesis(effects, alone)

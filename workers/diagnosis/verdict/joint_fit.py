@@ -35,7 +35,7 @@ class JointFit:
 
 @dataclass(frozen=True, eq=False)
 class SolvedJointFit(JointFit):
-    """A joint fit with the equilibria of its scans, from which another fit can continue."""
+    """A joint fit with the equilibria of its scans, from which another fit can start."""
 
     fit: SolvedFit
 
@@ -53,15 +53,15 @@ def fit_jointly(
     analysis : NominalAnalysis
     effects : sequence of Effect
     each : callable
-        Calls a function with every scan; see `workers.diagnosis.fits.gauss_newton.fit`.
+        Applies a function to every scan; see `workers.diagnosis.fits.gauss_newton.fit`.
     base : JointFit, optional
-        A fit of the first effects, from which this one starts; the others start at the values
-        that a screening of its residuals expects. None to start from the nominal fit.
+        A fit of the first effects, from which this fit starts; the other effects start at the
+        values expected from screening its residuals. None to start from the nominal fit.
 
     Returns
     -------
     JointFit or None
-        None if neither a start nor one closer to neutral could be simulated.
+        None if neither a starting point nor one closer to neutral could be simulated.
     """
     begun = analysis.begun.get(effects[0].name, {}) if base is None else base.fit.values()
     at = analysis.linear if base is None else base.fit.linearised(analysis.inverse)
@@ -85,7 +85,7 @@ def fit_jointly(
 
 
 def _gone_on(analysis: NominalAnalysis, tried: SolvedJointFit, each: Each) -> SolvedJointFit:
-    """Continue a fit that was tried for a few iterations until it ends."""
+    """Continue a fit that was stopped after a few iterations until it ends."""
     values, near = tried.fit.values(), tried.fit
     found = _fitted_from(analysis, tried.effects, values, near, each)
     if found is None:
@@ -102,7 +102,7 @@ def _fitted_from(
     each: Each,
     max_iterations: int = SETTINGS.fit.max_iterations,
 ) -> SolvedJointFit | None:
-    """Fit from given parameter values, starting the equilibria from those of a nearby fit."""
+    """Fit from given parameter values, starting from the equilibria of a nearby fit."""
     inverse = analysis.inverse
     free = unknowns(inverse.free, effects)
     z = np.array([values[name] for name in free.names])
@@ -147,7 +147,7 @@ def _starts(
 ) -> list[dict[str, float]]:
     """Return the starting parameters of the effects: several starts if one effect has places.
 
-    If two effects have places, each starts only at its best one. The expected sizes come from a
+    If two effects have places, each starts only at its best place. The expected sizes come from a
     screening of the residuals of `at`.
     """
     screened = {
@@ -187,7 +187,7 @@ def _placed(
 def _nearer(
     effects: Sequence[Effect], start: Mapping[str, float], share: float
 ) -> dict[str, float]:
-    """Return the parameters with sizes closer to neutral and places unchanged."""
+    """Return the parameters with their sizes closer to neutral and their places unchanged."""
     places = {name for e in effects if e.place is not None for name in e.place.names}
     neutral = {name: value for e in effects for name, value in e.neutral.items()}
     return {
@@ -218,7 +218,7 @@ def _begin(parameter: Parameter, sd: float, expected: float, *, steep: bool = Fa
 
 
 def _begin_at_place(parameter: Parameter, sd: float, expected: float) -> float:
-    """Return the starting size of a localised effect, not neutral so that its place matters."""
+    """Return the starting size of a localised effect, not neutral, so that its place matters."""
     settings = SETTINGS.joint_fits
     if one_sided(parameter):
         return _begin(parameter, sd, expected)

@@ -2,8 +2,8 @@
 
 The first estimate uses the points predicted by the nominal model. If that model is wrong by more
 than the amplitude or correlation length of the noise, these points are off the interfaces or on
-other parts of them, and model error has been learnt as noise. The best single effect is closer to
-the truth even if it is not the true cause, so the noise is estimated again there, and all
+other parts of them, and the model error has been mistaken for noise. The best single effect is
+closer to the truth even if it is not the true cause, so the noise is estimated again there, and all
 hypotheses are weighed with the new estimate.
 """
 
@@ -30,7 +30,7 @@ from palpate.workers.scan_threads import Each
 
 
 def is_elsewhere(analysis: NominalAnalysis, best: Fit) -> bool:
-    """Check whether a fit moves the points far enough to change the noise estimate.
+    """Return True if a fit moves the points far enough to change the noise estimate.
 
     The root mean square shift from the nominal points is compared with the standard deviation of
     the noise across the interfaces and with its correlation length along them.
@@ -50,7 +50,7 @@ def is_elsewhere(analysis: NominalAnalysis, best: Fit) -> bool:
 def read_again(
     analysis: NominalAnalysis, singles: Sequence[JointFit], best: JointFit, each: Each = map
 ) -> NominalAnalysis:
-    """Estimate the noise again at the best single effect and refit the constants alone.
+    """Estimate the noise again at the best single effect, and refit the constants alone.
 
     Parameters
     ----------
@@ -58,14 +58,14 @@ def read_again(
     singles : sequence of JointFit
         All fitted single effects.
     best : JointFit
-        One of them.
+        Best of the single effects.
     each : callable
-        Calls a function with every scan; see `workers.diagnosis.fits.gauss_newton.fit`.
+        Applies a function to every scan; see `workers.diagnosis.fits.gauss_newton.fit`.
 
     Returns
     -------
     NominalAnalysis
-        With the sensitivities of the first analysis.
+        The new analysis, with the sensitivities of the first analysis.
     """
     inverse, nominal = analysis.inverse, analysis.nominal
     begun = {one.names[0]: one.fit.values() for one in singles}
@@ -89,5 +89,5 @@ def read_again(
     free = nominal.unknowns
     again = fit(inverse, free, nominal.z, nominal.starts(), nominal.poses(), each)
     if again is None:
-        raise AssertionError("a fit that starts at the optimum of another one must be simulable")
+        raise AssertionError("a fit that starts at the optimum of another fit must be simulable")
     return NominalAnalysis(inverse, again, analysis.sensitivities, begun)

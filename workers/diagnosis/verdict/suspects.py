@@ -21,7 +21,7 @@ Combination = tuple[Effect, ...]
 def suspects(analysis: NominalAnalysis, known: Catalogue) -> list[Effect]:
     """Return the effects that are worth a joint fit, the most probable first.
 
-    If the nominal model is far off, one effect that the linear model underrates is added.
+    If the nominal model is far off, one effect that the linear model underestimates is added.
     """
     settings = SETTINGS.joint_fits
     visible = [one for one in analysis.screening if not one.hides]
@@ -42,9 +42,9 @@ def pairs(
 ) -> list[Combination]:
     """Return pairs that are worth a joint fit.
 
-    These are the best effect with each effect that its residuals support; other effects with
-    those that their residuals support, if the expected evidence is higher; and all pairs of the
-    best effects if a smooth field explains the residuals of the best one.
+    These are the best effect with each effect that its residuals support; other effects with the
+    effects that their residuals support, if the expected evidence is higher; and all pairs of the
+    best effects, if a smooth field explains the residuals of the best one.
     """
     near = ranked(singles)[: SETTINGS.joint_fits.partners]
     if not near:
@@ -69,7 +69,7 @@ def triples(
 ) -> list[Combination]:
     """Return the best two effects with each effect that their residuals support.
 
-    There are none if a single effect is better than all pairs.
+    There are no triples if a single effect is better than all pairs.
     """
     best = ranked(one for one in fits if len(one.effects) < MOST_EFFECTS)[:1]
     if not best or len(best[0].effects) < MOST_EFFECTS - 1:
@@ -84,13 +84,13 @@ def ranked(fits: Iterable[JointFit]) -> list[JointFit]:
 
 
 def near_best(fits: Sequence[JointFit]) -> list[JointFit]:
-    """Return the ranked fits that are not far behind the best."""
+    """Return the ranked fits that are not far behind the best fit."""
     least = fits[0].log_evidence - SETTINGS.joint_fits.far_behind
     return [one for one in fits if one.log_evidence >= least]
 
 
 class _Extended(NamedTuple):
-    """Fitted effects with one more, and the log evidence expected from screening."""
+    """Fitted effects with one more effect, and the log evidence expected from screening."""
 
     effects: Combination
     promise: float
@@ -116,6 +116,6 @@ def _extended(analysis: NominalAnalysis, known: Catalogue, fitted: JointFit) -> 
 
 
 def _is_unexplained(analysis: NominalAnalysis, best: JointFit) -> bool:
-    """Check whether a smooth field explains the residuals of the best single effect."""
+    """Return True if a smooth field explains the residuals of the best single effect."""
     gain = analysis.noise.field_gain(analysis.hypothesis(best.fit))
     return gain is not None and gain > SETTINGS.joint_fits.left_over

@@ -1,17 +1,18 @@
 """The verdict reported to the user: no gap, an effect, a choice of effects, or none of these.
 
-The verdict follows from the probabilities. A hypothesis counts towards its most probable effect;
-one without effects counts towards "no gap", or "none of these" if it has a smooth field. If a field
-is needed in addition to effects, an unlisted cause acts, and the effects may only resemble it; the
-probability of that grows with the field's share of the evidence and counts as "none of these".
+The verdict follows from the probabilities. A hypothesis counts towards its most probable effect; a
+hypothesis without effects counts towards "no gap", or towards "none of these" if it has a smooth
+field. If a field is needed in addition to effects, an unlisted cause acts, and the effects may only
+resemble it; the probability that they do grows with the field's share of the evidence and counts as
+"none of these".
 
-1. No gap, if that is the most probable cause. An effect that hides in the nominal parameters (see
+1. No gap, if that is the most probable cause. An effect hidden by the nominal parameters (see
    `diagnosis.screening.detectability.hides`) has at least its prior probability relative to no
    gap, and counts towards it: these scans cannot show it, and it is neither named nor ruled out.
-   Together with a visible effect it counts towards that effect.
+   Together with a visible effect, it counts towards that effect.
 2. None of these, if that is the most probable cause.
 3. Otherwise the effect, or, if more than one cause is needed to reach 90 % of the probability, the
-   set of causes that cannot be told apart.
+   set of causes that cannot be distinguished.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -50,7 +51,7 @@ class Verdict:
     probabilities : dict of str to float
         Probability that each effect acts, alone or with others; they need not sum to 1.
     no_gap, none_of_these : float
-        Probability of no gap that these scans could show, and of an unlisted cause.
+        Probability that there is no gap visible in these scans, and of an unlisted cause.
     set90 : tuple of str
         The smallest set of causes with 90 % of the probability, the most probable first. Effects
         acting together count as the most probable of them; "no-gap" and "none-of-these" may be
@@ -60,8 +61,8 @@ class Verdict:
     family : str or None
         The common family of the effects in `set90`; None if they differ or there are none.
     explained_share : float or None
-        The best effect's share of the evidence gained by it and an added field; None without an
-        effect.
+        The best effect's share of the evidence gained by that effect and an added field; None
+        without an effect.
     alarm : float
         Log Bayes factor of the best alternative against no gap.
     threshold : float
@@ -98,9 +99,9 @@ def verdict(
     Parameters
     ----------
     hypotheses : sequence of Hypothesis
-        Including the one without effects.
+        Hypotheses, including the one without effects.
     families : mapping of str to str
-        The family of every listed effect, tried or not.
+        The family of every listed effect, whether tried or not.
     hiding : collection of str
         Effects that the nominal parameters hide.
     odds : PriorOdds, optional
@@ -159,18 +160,18 @@ def _check(hypotheses: Sequence[Hypothesis], families: Mapping[str, str]) -> Non
     unknown = {name for who in weighed for name in who} - set(families)
     if unknown or len(set(weighed)) < len(weighed) or frozenset() not in weighed:
         raise InputError(
-            "Pass each hypothesis once, including the one without effects, and give each "
-            f"effect a family; found {len(weighed) - len(set(weighed))} repeated, "
-            f"{weighed.count(frozenset())} without effects and no family of {sorted(unknown)}."
+            "Pass each hypothesis once, including the one without effects, and give each effect a "
+            f"family; found {len(weighed) - len(set(weighed))} repeated hypotheses, "
+            f"{weighed.count(frozenset())} without effects and no family for {sorted(unknown)}."
         )
 
 
 def _with_hidden(hypotheses: Sequence[Hypothesis], hidden: Sequence[str]) -> list[Hypothesis]:
-    """Return the hypotheses, with the evidence of hidden effects no lower than without effects.
+    """Return the hypotheses, with hidden effects given at least the evidence of no effects.
 
     The constants absorb a hidden effect, so a fit with it is as good as one without. The small
-    unabsorbed part may support it, but not strongly enough to name it. Combined with other
-    effects it keeps the evidence of its fit.
+    unabsorbed part may support it, but not strongly enough to name it. Combined with other effects,
+    it keeps the evidence of its fit.
     """
     nothing = next(h for h in hypotheses if not h.effects)
     kept = [h for h in hypotheses if len(h.effects) != 1 or h.effects[0] not in hidden]
@@ -229,7 +230,7 @@ def _primary(effects: tuple[str, ...], cause: str, acting: Mapping[str, float]) 
 
 
 def _explained(hypotheses: Sequence[Hypothesis], effects: tuple[str, ...]) -> float:
-    """Return ``le / (le + max(gain, 0))``, le the log evidence of the effects against none."""
+    """Return ``le / (le + max(gain, 0))``, with le the log evidence of the effects against none."""
     nothing = next(h for h in hypotheses if not h.effects)
     found = next(h for h in hypotheses if h.effects == effects)
     own = max(0.0, found.log_evidence - nothing.log_evidence)

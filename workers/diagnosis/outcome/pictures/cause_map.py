@@ -4,14 +4,14 @@ For a lump at a place, with whitened column b and the efficient residual of `Lin
 
 .. math:: z = -\frac{b' P \rho}{\sqrt{b' P b}}
 
-is Rao's score of a unit variance: positive where a stiffer spot would explain the
-residuals, negative where a softer one would. This is the error estimator of model updating
-(L. Chamoin, P. Ladeveze and J. Waeytens, Comput. Mech. 54 (2014) 1567) with one adjoint
-problem for all places, without the part that the nominal constants absorb.
+is Rao's score, with unit variance: positive where a stiffer spot would explain the residuals,
+negative where a softer spot would. This is the error estimator of model updating (L. Chamoin, P.
+Ladeveze and J. Waeytens, Comput. Mech. 54 (2014) 1567) with one adjoint problem for all places,
+less the part that the nominal constants absorb.
 
 Places share most of their data, so a map is smooth; the maximum over many places exceeds a given
-level by chance more often than a single value does. `reached_by_noise` is the level for the maximum
-under residuals of pure noise.
+level by chance more often than a single value does. `reached_by_noise` is a level for the maximum
+when the residuals are pure noise.
 """
 
 from dataclasses import dataclass
@@ -26,29 +26,29 @@ from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivi
 from palpate.workers.diagnosis.algebra.linearisation import Linearised
 
 DRAWS = 2000
-# Share of draws of pure noise whose largest |z| stays below the level.
+# Fraction of draws of pure noise whose largest |z| stays below the level.
 QUIET = 0.95
 VOXEL_MM = 2.0
-# Voxels farther than this from every place are not drawn: the rim, where no lump was tried.
+# Voxels farther than this from every place are not drawn: on the rim, no lump was tried.
 FARTHEST_MM = 12.0
 
 
 @dataclass(frozen=True, eq=False)
 class CauseMap:
-    """Scores of "locally stiffer" at the places where a lump was tried.
+    """Scores for a stiffer spot at each place where a lump was tried.
 
     Parameters
     ----------
     places : ndarray, shape (g, 3)
         (x, y, z) in mm.
     z : ndarray, shape (g,)
-        Positive for stiffer, of unit variance if only noise is left.
+        Score, positive for stiffer, with unit variance if only noise is left.
     estimate, sd : ndarray, shape (g,)
         Posterior mean of the log stiffness ratio and its standard deviation.
     seen : ndarray of bool, shape (g,)
         Whether the scans are more informative about the place than the prior.
     reached_by_noise : float
-        Level exceeded by the largest |z| of pure noise with a probability of 5 %.
+        Level that the largest |z| of pure noise exceeds with a probability of 5 %.
     """
 
     places: FloatArray
@@ -60,7 +60,7 @@ class CauseMap:
 
     @property
     def loudest(self) -> int:
-        """Index of the place with the largest |z| among the seen ones, or all if none is seen."""
+        """Index of the largest |z| among the `seen` places, or among all if none is seen."""
         among = self.seen if self.seen.any() else np.ones_like(self.seen)
         return int(np.where(among, np.abs(self.z), -1.0).argmax())
 
@@ -68,18 +68,19 @@ class CauseMap:
 def cause_map(
     problem: Linearised, lump: EffectSensitivity, places: FloatArray, seed: int = 0
 ) -> CauseMap:
-    """Compute the score of every place of a sensitivity.
+    """Compute the score at every place of a sensitivity.
 
     Parameters
     ----------
     problem : Linearised
-        At the nominal fit, or at a refit to map the residuals that remain with an effect.
+        Linearisation at the nominal fit, or at a refit to map the residuals that remain with an
+        effect.
     lump : EffectSensitivity
-        One parameter at g places.
+        Sensitivity to one parameter at g places.
     places : ndarray, shape (g, 3)
         Places of the sensitivity, (x, y, z) in mm.
     seed : int
-        Seed for the draws of noise.
+        Seed of the noise draws.
 
     Raises
     ------
@@ -89,8 +90,8 @@ def cause_map(
     g, _, q = lump.places.shape
     if q != 1 or places.shape != (g, 3):
         raise InputError(
-            f"A map of causes needs one parameter at each of its places, found {q} at {g} places "
-            f"of the effect {lump.name} and places of shape {places.shape}."
+            f"A map of causes needs one parameter at each of its places, found {q} parameters at "
+            f"{g} places for the effect {lump.name}, and places of shape {places.shape}."
         )
     B = np.ascontiguousarray(lump.whitened(problem)[:, :, 0].T)
     PB = problem.project(B)
@@ -110,7 +111,7 @@ def cause_map(
 
 
 def _largest_of_noise(information: FloatArray, own: FloatArray, seed: int) -> float:
-    """Return a quantile of the maximum of correlated unit normals."""
+    """Return a quantile of the maximum of correlated standard normal variables."""
     scale = np.sqrt(own)
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -119,7 +120,7 @@ def _largest_of_noise(information: FloatArray, own: FloatArray, seed: int) -> fl
 
 
 def voxels(found: CauseMap, body: Volume, voxel_mm: float = VOXEL_MM) -> Volume:
-    """Interpolate the scores between the places, inside the body.
+    """Interpolate the scores between the places inside the body.
 
     The interpolation is exact at the places and linear in the distance between them
     (the biharmonic spline in three dimensions), which limits overshoot and extrapolation.
@@ -135,10 +136,10 @@ def voxels(found: CauseMap, body: Volume, voxel_mm: float = VOXEL_MM) -> Volume:
     Returns
     -------
     Volume of float32
-        z in the body close to seen places; nan elsewhere.
+        z in the body near places in `seen`; nan elsewhere.
     """
     if not voxel_mm > 0:
-        raise InputError(f"Voxels of a map need an edge > 0 mm, found {voxel_mm}.")
+        raise InputError(f"The voxel size of a map must be > 0 mm, found {voxel_mm}.")
     nx, ny, nz = (
         max(1, round(n * s / voxel_mm))
         for n, s in zip(body.shape_xyz, body.spacing_mm, strict=True)
@@ -157,7 +158,7 @@ def voxels(found: CauseMap, body: Volume, voxel_mm: float = VOXEL_MM) -> Volume:
 
 
 def _tissue_at(body: Volume, points: FloatArray) -> BoolArray:
-    """Check which points are in voxels of tissue."""
+    """Return a mask of the points that are in voxels of tissue."""
     index = np.rint((points - body.origin_mm) / np.asarray(body.spacing_mm)).astype(int)
     valid = ((index >= 0) & (index < body.shape_xyz)).all(axis=1)
     x, y, z = np.clip(index, 0, np.asarray(body.shape_xyz) - 1).T

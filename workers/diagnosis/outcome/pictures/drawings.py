@@ -5,12 +5,12 @@
     local_<when>, local_<when>_sd              residuals averaged around each point
     shape_<interface>_vertices, _triangles     interfaces of the body at rest; see `shapes`
     labels_rest, labels_rest_frame             the body at rest
-    labels_<scan>, labels_<scan>_frame         observed, before and after, in one box
+    labels_<scan>, labels_<scan>_frame         observed, before and after, in a common box
     cause_<when>, cause_frame                  scores between the places, nan where unknown
-    cause_places                               where a lump was tried
+    cause_places                               places where a lump was tried
 
-A frame is an array (2, 3): the spacing and the centre of the first voxel, (x, y, z) in mm.
-<when> is "before" for the fitted nominal model, or "after" with the named effects.
+A frame is an array of shape (2, 3): the spacing and the centre of the first voxel, (x, y, z) in mm.
+<when> is "before" for the fitted nominal model, or "after" for the model with the named effects.
 """
 
 from collections.abc import Mapping, Sequence
@@ -54,8 +54,8 @@ def bodies(
     observed : sequence of Volume
         Labels of the loaded scans.
     predicted : mapping of str to sequence of Volume
-        For "before", and "after" if an effect is named: see
-        `workers.diagnosis.outcome.pictures.overlap.predict`. Cropped like the scans.
+        Predicted labels for "before", and for "after" if an effect is named, cropped like the
+        scans; see `workers.diagnosis.outcome.pictures.overlap.predict`.
 
     Raises
     ------
@@ -78,14 +78,14 @@ def bodies(
 
 
 def local_means(fits: Mapping[str, Linearised], points: InterfacePoints) -> Arrays:
-    """Return locally averaged residuals, which show regions instead of the noise of points.
+    """Return locally averaged residuals, which show regions rather than the noise of points.
 
     Parameters
     ----------
     fits : mapping of str to Linearised
-        For "before", and "after" if an effect is named.
+        Linearised fits for "before", and for "after" if an effect is named.
     points : InterfacePoints
-        Points of the body at rest, k in each scan.
+        The k points of the body at rest, compared in each scan.
     """
     arrays: Arrays = {}
     for when, fit in fits.items():
@@ -119,7 +119,7 @@ def overlap_rows(
     areas_mm2 : sequence of sequence of float
         Areas of the interfaces in each scan.
     observed, predicted
-        As for `bodies`.
+        See `bodies`.
     residuals : mapping of str to ndarray, shape (scans, k)
         Signed distances in mm, with the keys of `predicted`.
     noise : ndarray, shape (scans, k)
@@ -132,7 +132,7 @@ def overlap_rows(
     Returns
     -------
     list of OverlapRow
-        Interfaces without points are left out.
+        One row for each scan and interface; interfaces without points are omitted.
     """
 
     def rows_of(scan: int) -> list[OverlapRow]:
@@ -170,7 +170,7 @@ def _figures(score: Score, apart: Distances) -> OverlapFigures:
 
 
 def causes(maps: Mapping[str, CauseMap], body: Volume) -> Arrays:
-    """Return the interpolated scores for "before", and for "after" if present."""
+    """Return the interpolated scores for "before" and, if present, for "after"."""
     arrays: Arrays = {}
     for when, found in maps.items():
         drawn = voxels(found, body)
@@ -198,5 +198,5 @@ def loudest_place(found: CauseMap) -> LoudestPlace:
 
 
 def frame(volume: Volume) -> FloatArray:
-    """Return spacing and origin of a volume, shape (2, 3)."""
+    """Return the spacing and origin of a volume, shape (2, 3)."""
     return np.array([volume.spacing_mm, volume.origin_mm], np.float64)

@@ -18,11 +18,11 @@ def edge_arrays(
     Parameters
     ----------
     nodes : ndarray, shape (n, 3)
-        At rest, in mm.
+        Positions at rest, in mm.
     edges : ndarray, shape (e, 2)
         See `sharp_edges`.
     displacements : mapping of str to sequence of ndarray, shape (n, 3)
-        For every state, "before" and "after"; displacements on another mesh are ignored.
+        Displacements in every state, "before" and "after"; those on another mesh are ignored.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def sharp_edges(nodes: FloatArray, triangles: IntArray, degrees: float = SHARP_D
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     pairs = np.sort(triangles[:, ((0, 1), (1, 2), (2, 0))].reshape(-1, 2), axis=1)
     order = np.lexsort((pairs[:, 1], pairs[:, 0]))
-    # In a closed surface every edge occurs twice, once for each of its triangles.
+    # In a closed surface, every edge occurs twice, once for each adjacent triangle.
     first, second = order[::2], order[1::2]
     bend = (normals[first // 3] * normals[second // 3]).sum(axis=1)
     return np.asarray(pairs[first[bend < np.cos(np.radians(degrees))]])

@@ -6,7 +6,7 @@ the points of one interface with similar normals,
 .. math:: \bar r = w'r, \qquad sd(\bar r)^2 = w' D w,
 
 with D the covariance of the residuals, so that two standard deviations mean the same everywhere,
-even near an edge.
+even near an edge of the interface.
 """
 
 import numpy as np
@@ -37,26 +37,27 @@ def local_mean(
     residual : ndarray, shape (s, k)
         Residuals of each scan, in mm.
     covariance : ndarray, shape (s k, s k)
-        Covariance of all residuals, scan after scan, in mm^2.
+        Covariance of all residuals, with the scans concatenated, in mm^2.
     length_mm : float
         Standard deviation of the Gaussian weights; > 0.
 
     Returns
     -------
     mean, sd : ndarray, shape (s, k)
-        In mm.
+        Averages and their standard deviations in mm.
 
     Raises
     ------
     InputError
-        If shapes disagree or the length is not positive.
+        If shapes do not match or the length is not positive.
     """
     s, k = residual.shape
     shapes = points.shape, normals.shape, interface.shape, covariance.shape
     if shapes != ((k, 3), (k, 3), (k,), (s * k, s * k)) or not length_mm > 0:
         raise InputError(
-            f"Local means of {s} x {k} residuals need points and normals ({k}, 3), interfaces "
-            f"({k},), a covariance ({s * k}, {s * k}) and a length > 0 mm, found {shapes} and "
+            f"Local means of {s} x {k} residuals need points and normals of shape ({k}, 3), "
+            f"interfaces ({k},), a covariance ({s * k}, {s * k}) and a length > 0 mm, found "
+            f"{shapes} and "
             f"{length_mm}."
         )
     squares = ((points[:, None] - points[None]) ** 2).sum(axis=2)

@@ -1,13 +1,13 @@
-r"""Overlap of predicted and observed bodies, in the usual measures of image comparison.
+r"""Overlap of predicted and observed bodies, in the usual measures for comparing images.
 
-The reference labels are moved by the simulated displacement onto the lattice of the
-observed scan and compared interface by interface: Jaccard and Dice coefficient,
-modified Hausdorff distance and the geometric similarity function. The verdict does not use these
-numbers, as they saturate and ignore the noise. They show the size of a gap in familiar terms.
+The reference labels are moved by the simulated displacement onto the lattice of the observed scan
+and compared interface by interface: Jaccard and Dice coefficients, modified Hausdorff distance and
+geometric similarity function. The verdict does not use these numbers, because they saturate and
+ignore the noise. They show the size of a gap in familiar terms.
 
 The Jaccard coefficient that is reachable despite segmentation noise follows from the area S of an
-interface and the mean distance by which the noise moves it, as two bodies of volume V then differ
-by :math:`D = S \,\overline{|e|}`:
+interface and the mean distance by which the noise moves it, because two bodies of volume V then
+differ by :math:`D = S \,\overline{|e|}`:
 
 .. math:: JC = \frac{V - D/2}{V + D/2}, \qquad
           \overline{|e|} = \sqrt{2/\pi}\,\overline{\sigma} .
@@ -29,14 +29,14 @@ from palpate.workers.diagnosis.problem.acquisition import INTERFACES
 
 @dataclass(frozen=True, slots=True)
 class Distances:
-    """Distances of the points of one interface from the scan.
+    """Distances of the points on one interface from the scan.
 
     Parameters
     ----------
     p50_mm, p95_mm : float
         Median and 95th percentile of the absolute distance.
     signed_mean_mm : float
-        Positive if the model is on average outside the observed tissue.
+        Mean signed distance; positive if the model is, on average, outside the observed tissue.
     points : int
     """
 
@@ -47,9 +47,9 @@ class Distances:
 
 
 def predict(labels: Volume, mesh: TetMesh, displacement_mm: FloatArray, observed: Volume) -> Volume:
-    """Return the deformed body on the lattice of a scan, from the scan's first slice.
+    """Return the deformed body on the lattice of a scan, starting at its first slice with tissue.
 
-    Below the lowest slice in which a scan shows the body, it may have been cropped.
+    Below the lowest slice in which it shows the body, the scan may have been cropped.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def predict(labels: Volume, mesh: TetMesh, displacement_mm: FloatArray, observed
         Mesh of the body at rest, n nodes.
     displacement_mm : ndarray, shape (n, 3)
     observed : Volume
-        The scan for comparison.
+        The scan to compare with.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def predict(labels: Volume, mesh: TetMesh, displacement_mm: FloatArray, observed
 def overlaps(
     predicted: Volume, observed: Volume, interfaces: Sequence[Interface] = INTERFACES
 ) -> dict[str, Score]:
-    """Compare two bodies on one lattice by the volume enclosed by each interface.
+    """Compare the volumes that each interface encloses in two bodies on one lattice.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def overlaps(
     Returns
     -------
     dict of str to Score
-        By the name of the interface.
+        Score by interface name.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def reachable_jc(
     Raises
     ------
     InputError
-        If there is no point.
+        If there are no points.
     """
     if not len(noise_mm):
         raise InputError(f"The noise of the {interface.name} needs at least one point, found none.")
@@ -141,7 +141,7 @@ def distances(residual_mm: FloatArray, interface: IntArray, number: int) -> Dist
     Raises
     ------
     InputError
-        If the interface has no point.
+        If the interface has no points.
     """
     own = residual_mm[interface == number]
     if not own.size:
@@ -151,17 +151,17 @@ def distances(residual_mm: FloatArray, interface: IntArray, number: int) -> Dist
 
 
 def on_one_box(volumes: Sequence[Volume]) -> tuple[NDArray[np.uint8], Triple]:
-    """Return labels on one lattice as one array, in a common bounding box.
+    """Return labels on one lattice as a single array, in a common bounding box.
 
     Parameters
     ----------
     volumes : sequence of Volume
-        `Tissue` labels, n of them; their boxes may differ.
+        n volumes of `Tissue` labels; their boxes may differ.
 
     Returns
     -------
     labels : ndarray of uint8, shape (n, nz, ny, nx)
-        Air where a volume has no voxel.
+        Labels; air where a volume has no voxel.
     origin_mm : tuple of float
         Centre of the first voxel of the box, (x, y, z).
 
@@ -176,7 +176,7 @@ def on_one_box(volumes: Sequence[Volume]) -> tuple[NDArray[np.uint8], Triple]:
     for volume in volumes:
         if not volume.on_lattice_of(first):
             raise InputError(
-                f"Labels on one box must share a lattice, but the first volume has voxels of "
+                "The labels must share a lattice, but the first volume has voxels of "
                 f"{first.spacing_mm} mm from {first.origin_mm} mm and another has voxels of "
                 f"{volume.spacing_mm} mm from {volume.origin_mm} mm. Warp the labels onto the "
                 "lattice of the scan."

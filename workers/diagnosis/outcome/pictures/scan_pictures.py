@@ -1,4 +1,4 @@
-"""Arrays and table rows of the report for a scanned body."""
+"""Arrays and table rows for the report on a scanned body."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,8 +23,7 @@ from palpate.workers.mechanics.effects.base import Effect
 from palpate.workers.scan_threads import Each
 
 Displacements = Mapping[str, Sequence[FloatArray]]
-"""Displacements of the finest nodes in mm, one for each scan: "before", and "after" with the
-named effects, if any."""
+"""Displacements of the finest nodes in mm for each scan, "before" and "after" any named effects."""
 
 
 def pictures_of_scans(
@@ -43,10 +42,10 @@ def pictures_of_scans(
     ----------
     diagnosis : Diagnosis
     effects : sequence of Effect
-        The catalogue; the first effect with a map is drawn.
+        The catalogue; the map of the first effect that has one is drawn.
     displacements : mapping of str to sequence of ndarray
     summary : Summary
-        Of the diagnosis.
+        Summary of the diagnosis.
     reference, observed : Volume and sequence of Volume
         `Tissue` labels.
     prepared : callable
@@ -59,7 +58,7 @@ def pictures_of_scans(
     arrays : dict of str to ndarray
         See `workers.diagnosis.outcome.pictures.drawings`.
     summary : Summary
-        With ``overlap``, and with ``cause_map`` if such an effect was tried.
+        Summary with ``overlap``, and with ``cause_map`` if an effect with a map was tried.
     """
     analysis = diagnosis.analysis
     finest = analysis.inverse.model.finest

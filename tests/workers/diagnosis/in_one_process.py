@@ -19,7 +19,7 @@ from palpate.workers.scan_threads import Each
 def diagnose_here(
     analysis: NominalAnalysis, effects: Sequence[Effect], each: Each = map
 ) -> Diagnosis:
-    """Return the diagnosis, with all that it wants computed in this process, without a store."""
+    """Return the diagnosis, with all requests computed in this process, without a store."""
     course = diagnose(analysis, effects)
     reached = advance(course)
     known: dict[tuple[str, ...], JointFit] = {}

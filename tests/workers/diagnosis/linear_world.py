@@ -1,8 +1,8 @@
-"""A world in which everything is linear and normal, so that the truth is known exactly.
+"""A world in which everything is linear and normal, so the truth is known exactly.
 
-Points are on an ellipsoid of 60 x 40 x 30 mm half axes, seen in two states. A mode is a
-displacement field that is a polynomial of the position, seen along the normals; it grows
-with the load of the state as a power that differs from mode to mode.
+Points are on an ellipsoid with half axes of 60 x 40 x 30 mm, observed in two states. A mode is a
+displacement field, polynomial in the position and observed along the normals; it grows with the
+load of the state as a power that differs between modes.
 """
 
 from dataclasses import replace
@@ -25,7 +25,7 @@ NOISE_MM, REFERENCE_MM, NUGGET_MM, CORRELATION_MM = 0.25, 0.12, 0.08, 6.0
 
 
 def ellipsoid(k):
-    """Points spread by the golden angle, and their unit normals."""
+    """Return points spread by the golden angle, and their unit normals."""
     z = 1 - 2 * (np.arange(k) + 0.5) / k
     turn = np.pi * (1 + 5**0.5) * np.arange(k)
     across = np.sqrt(1 - z**2)
@@ -35,14 +35,14 @@ def ellipsoid(k):
 
 
 def layout(k):
-    """Points, normals and state of every residual."""
+    """Return the point, normal and state of every residual."""
     points, normals = ellipsoid(k)
     states = np.repeat(np.arange(len(LOADS)), k)
     return np.tile(points, (2, 1)), np.tile(normals, (2, 1)), states
 
 
 def noise_covariance(k):
-    """Reference noise in all states, a smooth part in each, and a nugget."""
+    """Return reference noise shared by all states, plus a smooth part and a nugget in each."""
     points, _ = ellipsoid(k)
     distance = np.linalg.norm(points[:, None] - points, axis=2)
     smooth = np.exp(-0.5 * (distance / CORRELATION_MM) ** 2)
@@ -51,7 +51,7 @@ def noise_covariance(k):
 
 
 def mode(k, powers, axis, load_power):
-    """The displacement x^a y^b z^c along an axis, of 1 mm at full load (rms), shape (m,)."""
+    """Return the displacement x^a y^b z^c along an axis, 1 mm (rms) at full load, shape (m,)."""
     points, normals, states = layout(k)
     seen = np.prod((points / HALF_AXES_MM) ** powers, axis=1) * normals[:, axis]
     return seen / np.sqrt((seen**2).mean()) * LOADS[states] ** load_power
@@ -59,7 +59,7 @@ def mode(k, powers, axis, load_power):
 
 @cache
 def nominal_problem(k=60):
-    """Three parameters at their prior means, residual zero."""
+    """Return a problem with three parameters at their prior means and zero residual."""
     columns = np.c_[
         mode(k, (1, 0, 0), 0, 1.0), mode(k, (0, 1, 0), 1, 1.0), mode(k, (0, 0, 1), 2, 2.0)
     ]
@@ -69,7 +69,7 @@ def nominal_problem(k=60):
 
 
 def effect(name, columns, sd=1.0, one_sided=False, family=None):
-    """A sensitivity with one scale for all its parameters."""
+    """Return a sensitivity with one scale for all parameters."""
     columns = np.asarray(columns, dtype=float)
     columns = columns[:, None] if columns.ndim == 1 else columns
     q = columns.shape[-1]
@@ -79,7 +79,7 @@ def effect(name, columns, sd=1.0, one_sided=False, family=None):
 
 @cache
 def catalogue(k=60):
-    """Six effects: two of two parameters, one one-sided, one at any of four places."""
+    """Return six effects: two with two parameters, one one-sided, one at any of four places."""
     spots = [np.array(c) for c in ((30, 20, 15), (-30, 20, 15), (30, -20, -15), (-30, 20, -15))]
     points, _, states = layout(k)
     bumps = [np.exp(-0.5 * ((points - c) ** 2).sum(axis=1) / 15.0**2) for c in spots]
@@ -104,7 +104,7 @@ FIELD = SETTINGS.smooth_field
 
 
 def known_noise(covariance):
-    """The parts and the one state of a noise that is known."""
+    """Return the parts and the single state of known noise."""
     m = len(covariance)
     nothing = np.zeros((m, 0))
     parts = NoiseParts((covariance,), (1.0,), np.zeros(m, np.int32), nothing, nothing)
@@ -113,7 +113,7 @@ def known_noise(covariance):
 
 @cache
 def known_noise_model(k=60, tolerance=1e-7, lengths=FIELD.lengths_mm, amplitudes=None):
-    """Known noise of `nominal_problem`, with a smooth field."""
+    """Return the known noise of `nominal_problem`, with a smooth field."""
     points, normals, states = layout(k)
     fields = [
         smooth_columns(points, normals, states, np.ones(2 * k), length, 0.8, tolerance)
@@ -124,7 +124,7 @@ def known_noise_model(k=60, tolerance=1e-7, lengths=FIELD.lengths_mm, amplitudes
 
 
 def hypothesis_of(problem, one_sided=None):
-    """The same problem for a `NoiseModel`."""
+    """Return the same problem for a `NoiseModel`."""
     p = len(problem.nominal_sd)
     sided = np.zeros(p, bool) if one_sided is None else one_sided
     columns = problem.nominal * problem.nominal_sd
@@ -139,7 +139,7 @@ def joint_evidence(problem, sensitivities):
 
 
 def hypotheses_of(joint, partners=5):
-    """No effect, each effect, and the pairs of the `partners` best of them."""
+    """Return no effect, each effect, and the pairs of the `partners` best effects."""
     singles = [joint.hypothesis((name,)) for name in joint.names]
     best = sorted(singles, key=lambda h: h.best, reverse=True)[:partners]
     pairs = [joint.hypothesis(pair) for pair in combinations([h.effects[0] for h in best], 2)]
@@ -147,30 +147,30 @@ def hypotheses_of(joint, partners=5):
 
 
 def observed(problem, rng, signal=0.0):
-    """The problem with a residual: signal, parameters from their prior, and noise."""
+    """Return the problem with a residual: signal, parameters drawn from their prior, and noise."""
     parameters = problem.nominal_sd * rng.standard_normal(len(problem.nominal_sd))
     noise = problem.covariance_factor @ rng.standard_normal(problem.size)
     return replace(problem, residual=signal - problem.nominal @ parameters + noise)
 
 
 def signal_of(sensitivity, rng):
-    """The residual of an effect with parameters drawn from its prior."""
+    """Return the residual of an effect with parameters drawn from their prior."""
     phi = sensitivity.prior_sd * rng.standard_normal(len(sensitivity.prior_sd))
     phi = np.where(sensitivity.one_sided, np.abs(phi), phi)
     return -sensitivity.places[rng.integers(len(sensitivity.places))] @ phi
 
 
 def field_draw(k, rng):
-    """A smooth field from its prior, seen along the normals."""
+    """Return a smooth field drawn from its prior, along the normals."""
     covariance = smooth_covariance(*layout(k), rng.choice(FIELD.lengths_mm), 0.8)
     factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
     return rng.choice(FIELD.amplitudes_mm) * (factor @ rng.standard_normal(len(factor)))
 
 
 def dense_log_density(problem, columns=None, sd=(), extra=0.0):
-    """Log density of the residual with all parameters integrated out, constants dropped.
+    """Return the log density of the residual with all parameters integrated out.
 
-    ``ln N(r; J offset, C + J S J' + extra) + (m/2) ln 2 pi + ln|C|/2``
+    It is ``ln N(r; J offset, C + J S J' + extra) + (m/2) ln 2 pi + ln|C|/2``.
     """
     J, scales = problem.nominal, problem.nominal_sd
     mean = J @ problem.nominal_offset

@@ -161,7 +161,7 @@ def _check(hypotheses: Sequence[Hypothesis], families: Mapping[str, str]) -> Non
     if unknown or len(set(weighed)) < len(weighed) or frozenset() not in weighed:
         raise InputError(
             "Pass each hypothesis once, including the one without effects, and give each effect a "
-            f"family; found {len(weighed) - len(set(weighed))} repeated hypotheses, "
+            f"family; found {len(weighed) - len(set(weighed))} repeated, "
             f"{weighed.count(frozenset())} without effects and no family for {sorted(unknown)}."
         )
 

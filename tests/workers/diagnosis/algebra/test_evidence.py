@@ -1,4 +1,4 @@
-"""Evidence against densities and integrals."""
+"""Evidence, compared with densities and integrals."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ from tests.workers.diagnosis.linear_world import (
 
 
 def moved(problem, step):
-    """The same problem, linearised at another point."""
+    """Return the same problem, linearised at another point."""
     return replace(
         problem,
         residual=problem.residual + problem.nominal @ step,
@@ -32,12 +32,12 @@ def moved(problem, step):
     )
 
 
-def test_equals_the_normal_density():
+def test_evidence_equals_the_normal_density():
     problem = observed(nominal_problem(), np.random.default_rng(3))
     assert log_evidence(problem) == pytest.approx(dense_log_density(problem), abs=1e-8)
 
 
-def test_does_not_depend_on_the_expansion_point():
+def test_evidence_does_not_depend_on_the_expansion_point():
     problem = observed(nominal_problem(), np.random.default_rng(4))
     sided = np.array([False, True, True])
     there = moved(problem, np.array([0.3, 1.7, 0.4]))
@@ -46,8 +46,8 @@ def test_does_not_depend_on_the_expansion_point():
 
 
 @pytest.mark.parametrize("strength", [-2.0, -0.3, 0.0, 0.3, 2.0])
-def test_one_sided_parameter_against_an_integral(strength):
-    """Likelihood times a half-normal prior, integrated by quadrature; at the bound too."""
+def test_one_sided_parameter_matches_an_integral(strength):
+    """The likelihood times a half-normal prior is integrated by quadrature, also at the bound."""
     shape = mode(60, (2, 0, 0), 1, 1.5)
     sd = 0.7
     problem = observed(nominal_problem(), np.random.default_rng(5), -strength * shape)
@@ -65,8 +65,8 @@ def test_one_sided_parameter_against_an_integral(strength):
 
 @pytest.mark.parametrize("strength", [-2.0, 0.0, 0.4, 2.0])
 @pytest.mark.parametrize(("bound", "inward"), [(0.3, -1), (-0.3, 1)])
-def test_a_parameter_at_its_bound_against_an_integral(strength, bound, inward):
-    """Values beyond a bound at which a fit stopped do not count, near it or far off."""
+def test_a_parameter_at_its_bound_matches_an_integral(strength, bound, inward):
+    """Values beyond a bound at which a fit stopped do not count, near the bound or far from it."""
     shape, sd = mode(60, (2, 0, 0), 1, 1.5), 0.7
     problem = observed(nominal_problem(), np.random.default_rng(5), -strength * shape)
     within = sorted([bound, bound + inward * 6.0])
@@ -88,7 +88,7 @@ def moved_by(problem, shape, t):
 
 
 def test_a_parameter_without_effect_costs_nothing():
-    """Its posterior is its prior: evidence with it and without it is the same."""
+    """Its posterior is its prior, so the evidence with and without it is the same."""
     problem = observed(nominal_problem(), np.random.default_rng(6))
     idle = problem.freed(np.zeros((problem.size, 2)), np.array([0.3, 5.0]))
     sided = np.array([False, False, False, True, True])
@@ -104,7 +104,7 @@ def test_one_dimensional_orthant_is_the_normal_distribution(x):
 
 @pytest.mark.parametrize("rho", [-0.9, -0.3, 0.0, 0.5, 0.95])
 def test_orthant_probability_in_two_and_three_dimensions(rho):
-    """Sheppard: 1/4 + asin(rho) / 2 pi; with three equal ones 1/8 + 3 asin(rho) / 4 pi."""
+    """Sheppard: 1/4 + asin(rho) / 2 pi; for three equal variables 1/8 + 3 asin(rho) / 4 pi."""
     two = np.array([[1.0, rho], [rho, 1.0]])
     expected = np.log(0.25 + np.arcsin(rho) / (2 * np.pi))
     assert log_orthant(np.zeros(2), two) == pytest.approx(expected, abs=2e-3)
@@ -114,8 +114,8 @@ def test_orthant_probability_in_two_and_three_dimensions(rho):
         assert log_orthant(np.zeros(3), three) == pytest.approx(expected, abs=1e-2)
 
 
-def test_orthant_keeps_far_tails():
-    """Independent variables: the product, for several means at once."""
+def test_orthant_probability_is_accurate_in_far_tails():
+    """For independent variables it is a product, here for several means at once."""
     mean = np.array([[-12.0, 1.0], [-9.0, -20.0]])
     expected = norm.logcdf(mean).sum(axis=0)
     assert log_orthant(mean.T, np.eye(2)) == pytest.approx(expected, rel=1e-9)
@@ -123,7 +123,7 @@ def test_orthant_keeps_far_tails():
 
 @pytest.mark.parametrize("sided", [(), (1,), (0, 3)])
 def test_a_stack_equals_its_elements(sided):
-    """Twelve misfits of five parameters, with one-sided ones in any place."""
+    """Twelve misfits of five parameters, with one-sided parameters in any position."""
     rng = np.random.default_rng(8)
     A, rho = rng.standard_normal((3, 4, 9, 5)), rng.standard_normal((3, 4, 9))
     offset, one_sided = rng.standard_normal(5), np.isin(np.arange(5), sided)
@@ -139,8 +139,8 @@ def test_a_stack_equals_its_elements(sided):
     assert posterior(stack, offset).mean[1, 2] == pytest.approx(posterior(each[6], offset).mean)
 
 
-def test_hypotheses_of_different_size_compare():
-    """The simpler one wins if it is true, by the width that the other one wastes."""
+def test_simpler_hypothesis_wins_if_true():
+    """It wins by the prior width that the larger hypothesis wastes."""
     rng = np.random.default_rng(7)
     shape = effect("tilt", mode(60, (0, 1, 1), 0, 1.0)).columns
     gains = []

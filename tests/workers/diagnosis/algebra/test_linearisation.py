@@ -1,4 +1,4 @@
-"""The projection against the covariance that it inverts."""
+"""The projection, compared with the covariance that it inverts."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from tests.workers.diagnosis.linear_world import nominal_problem, observed
 
 
 def test_projection_is_the_marginal_precision():
-    """P = (I + A S A')^-1, here inverted densely."""
+    """P = (I + A S A')^-1, here inverted as a dense matrix."""
     problem = nominal_problem()
     A = np.linalg.solve(problem.covariance_factor, problem.nominal)
     dense = np.linalg.inv(np.eye(problem.size) + (A * problem.nominal_sd**2) @ A.T)
@@ -28,7 +28,7 @@ def test_flat_priors_give_the_orthogonal_projector():
 
 
 def test_converged_fit_needs_no_projection():
-    """At the maximum of the posterior the gradient is zero, and so P (rho - A offset) = rho."""
+    """At the maximum of the posterior the gradient is zero, so P (rho - A offset) = rho."""
     problem = observed(nominal_problem(), np.random.default_rng(2))
     A, rho = problem.scaled_nominal, problem.whitened_residual
     step = -np.linalg.solve(np.eye(3) + A.T @ A, A.T @ rho)

@@ -1,4 +1,4 @@
-"""Fits to a body with a known truth: the same model made the scans."""
+"""Fits to a body with a known truth, whose scans were made by the same model."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def problem(values, force_n: float) -> Problem:
 
 
 def problem_between_plates(hidden=None, values=None, forces=(10.0, 20.0)) -> InverseProblem:
-    """A body and its scans, made by `hidden` effects of `values`, without noise."""
+    """Return a body and its scans without noise, made with `hidden` effects of given `values`."""
     hierarchy = build_hierarchy(volume(), nodes=900)
     model = prepare(hierarchy)
     frame = frame_of(model.finest.nodes)
@@ -89,7 +89,7 @@ def problem_between_plates(hidden=None, values=None, forces=(10.0, 20.0)) -> Inv
 
 
 def analysed(inverse: InverseProblem, nominal: SolvedFit, effects: list[Effect]) -> NominalAnalysis:
-    """The nominal fit with the sensitivities of effects that all act and can be simulated."""
+    """Return the nominal fit with the sensitivities of effects, all of which act."""
     sensitivities = []
     for one in effects:
         numbers = range(len(inverse.scans))
@@ -127,12 +127,12 @@ def test_recovers_constants_without_a_missing_effect() -> None:
     assert found is not None
     assert found.converged
     for name, value in TRUTH.items():
-        # The prior pulls by what the noise allows.
+        # The prior pulls the fit as far as the noise allows.
         assert found.values()[name] == pytest.approx(value, rel=0.02)
 
 
 def lying_elsewhere(inverse: InverseProblem, shift_mm: FloatArray) -> InverseProblem:
-    """Scans that are shifted, with distances that are too small far off the interface."""
+    """Return shifted scans, with distances that are too small far from the interface."""
 
     def compress(scan: Scan) -> Scan:
         def compare(moved: FloatArray, of: InterfacePoints) -> tuple[FloatArray, FloatArray]:
@@ -150,7 +150,7 @@ def lying_elsewhere(inverse: InverseProblem, shift_mm: FloatArray) -> InversePro
 
 
 def test_scans_are_compared_at_their_poses() -> None:
-    """By 1.2 mm: distances there are wrong by 0.3 mm, but nothing is read there."""
+    """Scans are off by 1.2 mm. Distances there are wrong by 0.3 mm, but they are not used."""
     shift_mm = np.array([1.2, 0.0, -0.5])
     inverse = lying_elsewhere(problem_between_plates(), shift_mm)
     free = unknowns(FREE, [])
@@ -168,7 +168,7 @@ def test_scans_are_compared_at_their_poses() -> None:
 
 
 def drawn_roughly(inverse: InverseProblem) -> InverseProblem:
-    """Interfaces whose error is as high as is stated, and falls and rises within 6 mm."""
+    """Return interfaces whose error has the given size, and falls and rises within 6 mm."""
     rng = np.random.default_rng(5)
     waves, phases = rng.standard_normal((3, 100)) / 4.0, rng.uniform(0, 2 * np.pi, 100)
     size = 0.1 * np.sqrt(2 / 100)
@@ -186,7 +186,7 @@ def drawn_roughly(inverse: InverseProblem) -> InverseProblem:
 
 
 def cost(inverse: InverseProblem, free: Unknowns, z: FloatArray, near: SolvedFit) -> float:
-    """Minus twice the log posterior, with poses where they are most probable."""
+    """Return minus twice the log posterior at the most probable poses."""
     found = [
         predict_scan(inverse, scan, free, z, start, pose)
         for scan, start, pose in zip(inverse.scans, near.starts(), near.poses(), strict=True)
@@ -198,7 +198,7 @@ def cost(inverse: InverseProblem, free: Unknowns, z: FloatArray, near: SolvedFit
 
 
 def test_a_fit_ends_at_a_local_optimum() -> None:
-    """Poses take a part of every change, and a rough interface points elsewhere a mm on."""
+    """Poses absorb part of every change, and normals of a rough interface change within a mm."""
     shift_mm = np.array([0.6, 0.0, -0.4])
     inverse = drawn_roughly(lying_elsewhere(problem_between_plates(), shift_mm))
     free = unknowns(FREE, [])
@@ -210,7 +210,7 @@ def test_a_fit_ends_at_a_local_optimum() -> None:
     curvature = 1.0 + (found.linearised(inverse).scaled_nominal ** 2).sum(axis=0)
     for step in np.diag(free.sd / np.sqrt(curvature)):
         ahead, behind = (cost(inverse, free, found.z + s * step, found) for s in (1, -1))
-        # A whole standard deviation costs 1 on both sides: it is a valley, and this its floor.
+        # A whole standard deviation costs 1 on either side, so this is the bottom of a valley.
         assert (ahead + behind) / 2 == pytest.approx(least + 1.0, abs=0.2)
         assert ahead == pytest.approx(behind, abs=0.4)
 
@@ -242,7 +242,7 @@ def test_friction_is_found_along_the_path() -> None:
     assert again.fit.values()["friction"] == pytest.approx(0.3, abs=0.03)
 
 
-def test_accepts_a_subset_of_points() -> None:
+def test_fit_accepts_a_subset_of_points() -> None:
     inverse = problem_between_plates()
     which = np.zeros(len(inverse.points), bool)
     which[::3] = True

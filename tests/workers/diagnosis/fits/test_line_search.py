@@ -13,7 +13,7 @@ from palpate.workers.diagnosis.problem.scan_prediction import ScanJacobian
 from palpate.workers.diagnosis.settings.values import SETTINGS
 
 ONE = unknowns([FreeConstant("E_fat", np.exp(-1.0), np.exp(1.0))], [])
-"""One parameter with a mean of zero and a deviation of one."""
+"""One parameter with a mean of zero and a standard deviation of one."""
 
 
 def fitted(
@@ -22,7 +22,7 @@ def fitted(
     step: Callable[[float], float],
     expected: float,
 ) -> tuple[gauss_newton.SolvedFit, list[float]]:
-    """A fit from 1 with given costs and steps, and the values tried."""
+    """Return a fit from 1 with given costs and steps, and the values tried."""
     tried: list[float] = []
 
     def predict(inverse: object, u: Unknowns, z: FloatArray, *rest: object) -> tuple[object, ...]:
@@ -49,7 +49,7 @@ def fitted(
 def test_line_search_starts_near_the_last_length(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Steps are ten times too long: 0.16 of one is the first to lower a parabola."""
+    """Steps are ten times too long; 0.16 of a step is the first that lowers a parabola."""
     found, tried = fitted(monkeypatch, lambda z: z * z, lambda z: -10 * z, expected=10.0)
     s = SETTINGS.fit.shortening
     lengths = [1.0, s, s**2, s, s**2, s, s**2]
@@ -62,11 +62,11 @@ def test_line_search_starts_near_the_last_length(
     assert found.cost < SETTINGS.fit.tolerance
 
 
-def test_steps_lengthen_after_an_underrated_step(
+def test_steps_lengthen_after_an_underestimated_step(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """After a decrease of 0.6 where 0.2 was expected, the next step is twice as long. Steps keep
-    their length where decreases match the expectation."""
+    their length if decreases match the expectation."""
     _, tried = fitted(monkeypatch, lambda z: 3 * abs(z), lambda z: -0.2, expected=0.2)
     assert tried[:4] == pytest.approx([1.0, 0.8, 0.4, 0.0])
     _, tried = fitted(monkeypatch, lambda z: abs(z), lambda z: -0.2, expected=0.2)
@@ -74,7 +74,7 @@ def test_steps_lengthen_after_an_underrated_step(
 
 
 def test_a_crawling_fit_has_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cost falls by a hundredth where ten were expected."""
+    """The cost falls by a hundredth where a decrease of ten was expected."""
     found, tried = fitted(monkeypatch, lambda z: 0.01 * z, lambda z: -1.0, expected=10.0)
     assert tried == [1.0, 0.0]
     assert not found.converged

@@ -1,4 +1,4 @@
-"""The curvature that Gauss-Newton neglects, learnt from the steps of a fit."""
+"""The curvature that Gauss-Newton neglects, estimated from the steps of a fit."""
 
 import numpy as np
 import pytest
@@ -12,11 +12,11 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 P = 4
 FREE = unknowns([FreeConstant(f"E_{i}", np.exp(-1.0), np.exp(1.0)) for i in range(P)], [])
-"""Four parameters with means of zero and deviations of one."""
+"""Four parameters with means of zero and standard deviations of one."""
 
 
 class Bent:
-    """Residuals that are linear but for one, which is large and bends: 30 + x' Q x / 4."""
+    """Residuals that are linear except for a large one that is curved: 30 + x' Q x / 4."""
 
     def __init__(self, seed: int) -> None:
         rng = np.random.default_rng(seed)
@@ -60,7 +60,7 @@ def fitted(monkeypatch, bent, max_iterations=40):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_fit_with_large_residuals_converges(monkeypatch, seed):
-    """To the minimum of another method, within what the fit takes for settled."""
+    """It reaches the minimum found by another method, within the tolerance of the fit."""
     bent = Bent(seed)
     least = minimize(bent.cost, np.zeros(P), method="BFGS", options={"gtol": 1e-9}).fun
     found = fitted(monkeypatch, bent)
@@ -70,7 +70,7 @@ def test_a_fit_with_large_residuals_converges(monkeypatch, seed):
 
 
 def test_plain_gauss_newton_crawls(monkeypatch):
-    """The same fits without the secant term end farther from the optimum."""
+    """Without the secant term, the same fits end farther from the optimum."""
     with_it = [fitted(monkeypatch, Bent(seed)) for seed in range(5)]
     monkeypatch.setattr(SecantCurvature, "renewed", lambda self, now: self)
     without = [fitted(monkeypatch, Bent(seed)) for seed in range(5)]
@@ -78,7 +78,7 @@ def test_plain_gauss_newton_crawls(monkeypatch):
 
 
 def test_secant_condition_holds():
-    """The secant condition: along the step the gradient changes as it did."""
+    """Along the step, the model's gradient changes as the true gradient did."""
     bent = Bent(7)
     x, step = np.array([0.3, -0.2, 0.1, 0.2]), np.array([0.05, 0.02, -0.04, 0.01])
     before, after = bent.model(x), bent.model(x + step)
@@ -87,7 +87,7 @@ def test_secant_condition_holds():
     wanted = (after.columns - before.columns).T @ after.residual
     assert learnt.missing @ step == pytest.approx(wanted)
     assert np.allclose(learnt.missing, learnt.missing.T)
-    # The residuals' own part is linear here, so that is the exact one but for the step's square.
+    # The gradient of the other residuals is linear here, so only the squared step is neglected.
     assert step @ learnt.missing @ step == pytest.approx(step @ bent.missing(x) @ step, rel=0.01)
 
 
@@ -103,7 +103,7 @@ def test_secant_term_is_used_if_it_predicts_better():
     assert not learnt.stepped(bent.model(x + step), step, linear).is_used
 
 
-def test_the_curvature_stays_positive():
+def test_the_curvature_stays_positive_definite():
     model = Bent(9).model(np.zeros(P))
     saddle = SecantCurvature(-100.0 * np.eye(P), is_used=True)
     assert np.linalg.eigvalsh(saddle.curvature(model))[0] == pytest.approx(
@@ -112,7 +112,7 @@ def test_the_curvature_stays_positive():
     assert np.array_equal(SecantCurvature(saddle.missing).curvature(model), model.curvature)
 
 
-def test_no_update_without_derivatives():
+def test_curvature_is_not_updated_without_derivatives():
     model = Bent(10).model(np.zeros(P))
     kept = SecantCurvature.unknown(P).stepped(model, np.ones(P), 1.0).forgotten()
     assert not kept.renewed(model).is_known

@@ -1,4 +1,4 @@
-"""Noise whose size is unknown, nuisances and the smooth field against dense normal densities."""
+"""Noise of unknown size, nuisances and the smooth field, compared with dense normal densities."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ K = 150  # points, 300 residuals
 
 
 def dense(problem, columns=None, sd=()):
-    """Lengths by amplitudes."""
+    """Return log evidences, an array of lengths by amplitudes."""
     return np.array(
         [
             [
@@ -54,12 +54,12 @@ def dense(problem, columns=None, sd=()):
 
 
 def constant_of(problem):
-    """ln|C| / 2, which `dense_log_density` leaves out."""
+    """Return ln|C| / 2, which `dense_log_density` omits."""
     return float(np.log(np.diag(problem.covariance_factor)).sum())
 
 
 def with_field(problem, sided=None, **options):
-    """Log evidence with the smooth field."""
+    """Return the log evidence with the smooth field."""
     noise, at = known_noise_model(K, **options), hypothesis_of(problem, sided)
     return noise.log_evidence(at) + noise.field_gain(at) + constant_of(problem)
 
@@ -71,7 +71,7 @@ def problem():
 
 
 def test_covariance_matches_a_displacement_field():
-    """Draw the three components of the field at the points and look along the normals."""
+    """The three components of the field are drawn at the points and projected on the normals."""
     points, normals, states = layout(12)
     rng = np.random.default_rng(22)
     kernel = np.exp(-0.5 * ((points[:, None] - points) ** 2).sum(axis=2) / 20.0**2)
@@ -84,7 +84,7 @@ def test_covariance_matches_a_displacement_field():
 
 
 def test_low_rank_equals_dense(problem):
-    """The average over amplitudes and lengths, within 1e-4 nats."""
+    """The averages over amplitudes and lengths agree within 1e-4 nats."""
     expected = logsumexp(dense(problem)) - np.log(9)
     assert with_field(problem) == pytest.approx(expected, abs=1e-4)
 
@@ -95,7 +95,7 @@ def test_low_rank_equals_dense_with_an_effect(problem):
     assert with_field(problem.freed(columns, sd)) == pytest.approx(expected, abs=1e-4)
 
 
-def test_error_falls_with_the_tolerance(problem):
+def test_low_rank_error_falls_with_the_tolerance(problem):
     exact = logsumexp(dense(problem)[-1]) - np.log(3)
     longest = FIELD.lengths_mm[-1:]
     errors = [
@@ -106,7 +106,7 @@ def test_error_falls_with_the_tolerance(problem):
 
 
 @pytest.mark.slow
-def test_one_sided_parameter_with_the_field_against_an_integral():
+def test_one_sided_parameter_with_the_field_matches_an_integral():
     shape = mode(K, (2, 0, 0), 1, 1.5)
     problem = observed(nominal_problem(K), np.random.default_rng(23), -0.1 * shape)
     extra = 0.3**2 * smooth_covariance(*layout(K), 16.0, 0.8)
@@ -123,7 +123,7 @@ def test_one_sided_parameter_with_the_field_against_an_integral():
     assert found == pytest.approx(direct, abs=1e-4)
 
 
-def test_a_field_is_recognised_and_noise_is_not():
+def test_a_field_raises_the_evidence_but_noise_does_not():
     rng, noise = np.random.default_rng(24), known_noise_model(K)
     fields = [observed(nominal_problem(K), rng, field_draw(K, rng)) for _ in range(20)]
     none = [observed(nominal_problem(K), rng) for _ in range(20)]
@@ -132,16 +132,16 @@ def test_a_field_is_recognised_and_noise_is_not():
     assert gains[1] < -0.5
 
 
-# --- nuisances, and noise that is learnt --------------------------------------------------
+# --- nuisances and learnt noise --------------------------------------------------
 
 
 def interfaces():
-    """The upper half is one interface, the lower half another one."""
+    """Return the interface of each point: one for the upper half, another for the lower half."""
     return (ellipsoid(K)[0][:, 2] < 0).astype(np.int32)
 
 
 def parts_of(problem):
-    """Two interfaces that err on their own, poses, drawing and a numerical error."""
+    """Return noise of two independent interfaces, with poses, drawing and numerical errors."""
     points, normals = ellipsoid(K)
     own = np.tile(interfaces(), 2)
     stated = problem.covariance * (own[:, None] == own)
@@ -155,7 +155,7 @@ def parts_of(problem):
 
 
 def drawn(parts, scales, rng, numerical=1.0):
-    """A residual of that noise: constants at their prior means."""
+    """Return a residual drawn from that noise, with constants at their prior means."""
     covariance = parts.scatter(0, np.asarray(scales), numerical) + parts.fixed @ parts.fixed.T
     return np.linalg.cholesky(covariance) @ rng.standard_normal(parts.size)
 
@@ -168,11 +168,11 @@ def learnt(parts, residual):
 
 
 @pytest.mark.parametrize("zeta", [1.0, 0.3])
-def test_evidence_averages_over_states_of_the_noise(zeta: float):
-    """Against the dense density of each state, with poses in the covariance.
+def test_evidence_is_averaged_over_noise_states(zeta: float):
+    """It equals the mean of the states' dense densities, with poses in the covariance.
 
-    The power zeta of a normal density is one of the covariance S / zeta, times
-    |S / zeta|^(1/2) |S|^(-zeta / 2); only the noise of the segmentation is coarsened.
+    The power zeta of a normal density is a density of covariance S / zeta, times |S / zeta|^(1/2)
+    |S|^(-zeta / 2); only the segmentation noise is coarsened.
     """
     problem = observed(nominal_problem(K), np.random.default_rng(61))
     parts = parts_of(problem)
@@ -203,7 +203,7 @@ def test_evidence_averages_over_states_of_the_noise(zeta: float):
     ],
 )
 def test_misstated_noise_is_learnt(scales):
-    """Mean over ten bodies within 5 %, with poses, drawing and numerical error there too."""
+    """Means over ten bodies are within 5 %, despite pose, drawing and numerical errors."""
     rng = np.random.default_rng(62)
     parts = parts_of(nominal_problem(K))
     found = [learnt(parts, drawn(parts, scales, rng))[0] for _ in range(10)]
@@ -211,15 +211,15 @@ def test_misstated_noise_is_learnt(scales):
 
 
 def test_a_strong_effect_is_not_learnt_as_noise():
-    """1 mm of a smooth effect with noise of 0.25 mm."""
+    """A smooth effect of 1 mm is added to noise of 0.25 mm."""
     rng = np.random.default_rng(63)
     parts = parts_of(nominal_problem(K))
     residual = drawn(parts, (1.0, 1.0), rng) + mode(K, (1, 1, 0), 2, 1.0)
     assert learnt(parts, residual)[0].scales == pytest.approx([1.0, 1.0], rel=0.2)
 
 
-def test_a_pose_is_no_evidence():
-    """Scans 0.4 mm and 0.4 degrees apart: hundreds of nats without poses, none with them."""
+def test_a_pose_error_is_no_evidence_for_an_effect():
+    """Scans 0.4 mm and 0.4 degrees apart give hundreds of nats without poses, none with poses."""
     rng = np.random.default_rng(64)
     problem = nominal_problem(K)
     parts = parts_of(problem)
@@ -234,7 +234,7 @@ def test_a_pose_is_no_evidence():
     assert NoiseModel(parts, states, fields).field_gain(at) < 0
 
 
-def test_unlikely_states_are_omitted():
+def test_unlikely_noise_states_are_omitted():
     rng = np.random.default_rng(65)
     parts = parts_of(nominal_problem(K))
     found = learnt(parts, drawn(parts, (1.0, 1.0), rng))

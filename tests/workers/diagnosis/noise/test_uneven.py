@@ -16,7 +16,7 @@ K = 300
 
 
 def even_parts():
-    """Two interfaces in two scans, with correlated noise and a numerical error."""
+    """Return noise of two interfaces in two scans, correlated and with a numerical error."""
     points, _ = ellipsoid(K)
     own = (points[:, 1] < 0).astype(np.int32)
     distance = np.linalg.norm(points[:, None] - points, axis=2)
@@ -28,7 +28,7 @@ def even_parts():
 
 @cache
 def field():
-    """All but free, as it is where noise is learnt."""
+    """Return an almost free field, as it is used to learn noise."""
     amplitude, length = SETTINGS.noise.learning_field
     return smooth_columns(*layout(K), np.full(2 * K, amplitude), length, 0.8, 1e-3)
 
@@ -48,7 +48,7 @@ def drawn(parts, rng):
 
 
 def learnt_slopes(parts, residual):
-    """What is learnt as the logarithm of the factors, per half length of the body."""
+    """Return the learnt slopes of the factors' logarithm, per half length of the body."""
     places = places_of(parts)
     found = np.log(with_uneven_noise(parts, places, field(), residual).factors)
     ends = places.min(axis=0), places.max(axis=0)
@@ -64,8 +64,8 @@ def learnt_slopes(parts, residual):
         pytest.param(2.0, (-0.2, 0.1, 0.0), marks=pytest.mark.slow),
     ],
 )
-def test_learns_slopes_for_any_stated_noise(scale, slopes):
-    """Mean over six bodies within 0.05."""
+def test_learns_slopes_whatever_noise_is_given(scale, slopes):
+    """Means over six bodies are within 0.05."""
     rng = np.random.default_rng(71)
     parts = even_parts()
     true = with_factors(parts, scale * factors_of(places_of(parts), slopes))
@@ -74,15 +74,15 @@ def test_learns_slopes_for_any_stated_noise(scale, slopes):
 
 
 def test_a_smooth_effect_at_one_end_is_not_learnt_as_noise():
-    """2 mm of something that grows along z, with noise of a quarter of a millimetre."""
+    """An effect of 2 mm that grows along z is added to noise of a quarter of a millimetre."""
     rng = np.random.default_rng(72)
     parts = even_parts()
     found = learnt_slopes(parts, drawn(parts, rng) + mode(K, (0, 0, 1), 2, 2.0))
     assert np.abs(found).max() < 0.15
 
 
-def test_the_covariance_grows_with_the_factors():
-    """Deviations, so the covariance on either side; correlations stay."""
+def test_factors_scale_the_covariance():
+    """Factors scale standard deviations, so they multiply rows and columns of the covariance."""
     parts = even_parts()
     factors = factors_of(places_of(parts), (0.0, 0.0, 0.3))
     uneven = with_factors(parts, factors)

@@ -1,4 +1,4 @@
-"""Points missing in one scan are found; smooth motion of a body is not mistaken for them."""
+"""Points missing in one scan are found, and smooth motion of a body is not mistaken for them."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ POINTS = InterfacePoints(
     *ellipsoid(K), np.zeros(K, np.int32), np.ones(K), part=np.zeros(K, np.int32)
 )
 BESIDE_MM = 8.0
-PIECE = [40, 41, 222]  # points of tissue that the second scan does not show
+PIECE = [40, 41, 222]  # points on tissue that the second scan does not show
 
 
 NOTHING = np.zeros((2 * K, 0))
@@ -27,13 +27,13 @@ def smooth():
 
 
 def scanned(seed, noise=1.0, gap_mm=0.0):
-    """Residuals with noise, of a body that a load bends otherwise than its model."""
+    """Return noisy residuals of a body that bends differently from its model under load."""
     rng = np.random.default_rng(seed)
     drawn = rng.multivariate_normal(np.zeros(2 * K), noise_covariance(K), method="cholesky")
     return noise * drawn + gap_mm * mode(K, (2, 1, 0), 1, 1.5)
 
 
-@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0], ids="noise of {} times what is stated".format)
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0], ids="{} times the given noise".format)
 def test_only_missing_pieces_are_unmatched(noise):
     for seed in range(3):
         residual = scanned(seed, noise)
@@ -60,20 +60,21 @@ def test_points_near_missing_pieces_are_unmatched():
     assert len(beside)
     residual = scanned(1)
     residual[PIECE[0]] += 9.0
-    residual[beside] = 1.6  # half off, as at the rim of a piece
+    residual[beside] = 1.6  # half as far off, as at the rim of a piece
     shown = matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM)
     assert set(np.flatnonzero(~shown)) == {PIECE[0], *beside.tolist()}
 
 
 def test_neighbours_off_together_in_all_scans_are_unmatched():
-    """As if the scan at rest had a spurious piece of tissue: each point is five to six deviations
-    off its surroundings, which is plausible for one point and scan, but not for all together."""
+    """The scan at rest seems to have a spurious piece of tissue: each point is five to six
+    deviations from its surroundings, plausible for one point in one scan, but not for all
+    together."""
     points, _ = ellipsoid(K)
     away = np.linalg.norm(points - points[PIECE[0]], axis=1)
     two = np.argsort(away)[:2]
     assert away[two[1]] < BESIDE_MM
     deviation_mm = np.sqrt(STATED[0, 0])
-    for seed in (0, 3, 4):  # with other noise a point is more than six off, alone
+    for seed in (0, 3, 4):  # with other noise, a single point is off by more than six
         residual = scanned(seed)
         for scan in (0, 1):
             residual[scan * K + two] = -4.0 * deviation_mm
@@ -84,7 +85,7 @@ def test_neighbours_off_together_in_all_scans_are_unmatched():
         assert matched(POINTS, STATED, NOTHING, smooth(), residual, BESIDE_MM).all()
 
 
-def test_many_outliers_are_no_segmentation_error():
+def test_many_outliers_are_not_called_unmatched():
     residual = scanned(2)
     many = np.random.default_rng(1).choice(K, K // 8, replace=False)
     residual[many] += 8.0
@@ -92,7 +93,7 @@ def test_many_outliers_are_no_segmentation_error():
 
 
 def test_a_wholly_missing_piece_is_unmatched():
-    """It is isolated, so a smooth displacement could explain all of it."""
+    """The piece is isolated, so a smooth displacement could explain all of it."""
     around, _ = ellipsoid(K)
     piece = np.argsort(np.linalg.norm(around - around[222], axis=1))[:4]
     part = np.zeros(K, np.int32)
@@ -107,7 +108,7 @@ def test_a_wholly_missing_piece_is_unmatched():
 
 
 def test_isolated_outliers_are_unmatched():
-    """Two neighbours within a hole of 16 mm around them: a free displacement follows them."""
+    """Two neighbours have no other points within 16 mm, so a free displacement follows them."""
     points, _ = ellipsoid(K)
     away = np.linalg.norm(points - points[PIECE[0]], axis=1)
     two = np.argsort(away)[:2]

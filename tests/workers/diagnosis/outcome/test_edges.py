@@ -1,4 +1,4 @@
-"""A block shows its twelve edges; a ball shows none."""
+"""A block has its twelve edges drawn; a ball has none."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_edges_of_a_block_at_rest_and_deformed() -> None:
 
 
 def test_a_round_body_has_no_sharp_edge() -> None:
-    """The block's surface blown up to a ball: neighbours bend by some 20 degrees."""
+    """The block's surface is inflated to a ball, on which neighbours bend by some 20 degrees."""
     mesh = block((2.0, 2.0, 2.0), 2000).finest.mesh
     triangles = boundary_triangles(mesh.tets)
     centred = mesh.nodes - 1.0

@@ -1,4 +1,4 @@
-"""The gap against noise-free truth: unbiased, and intervals that cover."""
+"""The gap compared with noise-free truth: it is unbiased, and its intervals cover the truth."""
 
 from dataclasses import replace
 
@@ -22,12 +22,12 @@ REPLICATES = 300
 
 
 def known_gap():
-    """An effect of 0.25 mm and a rest of 0.12 mm of another shape, as a residual."""
+    """Return the residual of an effect of 0.25 mm and a remainder of 0.12 mm of another shape."""
     return -0.25 * catalogue()[1].columns[:, 0] - 0.12 * mode(60, (1, 2, 0), 2, 1.0)
 
 
 def replicate(problem, truth, rng, train=None, judge=None):
-    """A fit to a new image, and the squared gap that it really leaves."""
+    """Return a fit to a new image, and the squared gap that it really leaves."""
     noise = problem.covariance_factor @ rng.standard_normal(problem.size)
     fit = LinearFit(replace(problem, residual=truth + noise), train, judge)
     step = fit.step * problem.nominal_sd
@@ -42,7 +42,7 @@ def replicate(problem, truth, rng, train=None, judge=None):
 )
 @pytest.mark.parametrize("size", [0.0, 1.0])
 def test_excess_is_unbiased(train, judge, size):
-    """Mean of the estimate minus the truth, within four standard errors."""
+    """The mean of the estimate minus the truth is within four standard errors of zero."""
     rng = np.random.default_rng(31)
     errors = []
     for _ in range(REPLICATES):
@@ -52,7 +52,7 @@ def test_excess_is_unbiased(train, judge, size):
 
 
 def test_plain_excess_over_noise_would_be_too_small():
-    """The noise absorbed by the fit is not small: without the penalty there is a bias."""
+    """The noise absorbed by the fit is not small, so without the penalty there is a bias."""
     rng = np.random.default_rng(32)
     plain, penalised = [], []
     for _ in range(REPLICATES):
@@ -65,8 +65,8 @@ def test_plain_excess_over_noise_would_be_too_small():
 
 
 @pytest.mark.parametrize(("train", "judge"), [(None, None), (LOW, HIGH)])
-def test_interval_covers(train, judge):
-    """At 90 %: within 0.05 (the estimate is skewed, the interval symmetric)."""
+def test_interval_covers_the_gap(train, judge):
+    """Coverage is within 0.05 of 90 % (the estimate is skewed, the interval symmetric)."""
     rng = np.random.default_rng(33)
     held = []
     for _ in range(REPLICATES):
@@ -77,7 +77,7 @@ def test_interval_covers(train, judge):
 
 
 def test_standard_deviation_matches_simulation():
-    """Standard deviation of the mean square: the formula, with the true mean, by simulation."""
+    """The formula for the mean square, evaluated with the true mean, is checked by simulation."""
     problem, truth = nominal_problem(), known_gap()
     fit = LinearFit(problem)
     rng = np.random.default_rng(34)
@@ -89,7 +89,7 @@ def test_standard_deviation_matches_simulation():
 
 @pytest.mark.parametrize("train", [None, LOW])
 def test_noise_after_a_fit_equals_a_dense_map(train):
-    """(I + F) C (I + F)', with F found by fitting unit residuals one by one."""
+    """The dense map is (I + F) C (I + F)', with F found by fitting unit residuals one by one."""
     problem = nominal_problem()
     fit = LinearFit(problem, train)
     m, C = problem.size, problem.covariance
@@ -112,7 +112,7 @@ def test_fit_is_the_generalised_least_squares_solution():
     assert fit.residual == pytest.approx(expected, abs=1e-10)
 
 
-def test_without_a_fit_the_excess_is_over_the_noise():
+def test_without_a_fit_the_excess_is_relative_to_the_noise():
     problem = observed(nominal_problem(), np.random.default_rng(36), known_gap())
     found = gap(LinearFit(problem, fitted=False))
     expected = np.mean(problem.residual**2) - np.trace(problem.covariance) / problem.size
@@ -120,7 +120,7 @@ def test_without_a_fit_the_excess_is_over_the_noise():
     assert found.noise_mm == pytest.approx(np.sqrt(np.trace(problem.covariance) / problem.size))
 
 
-def test_subsets_add_up():
+def test_excesses_of_subsets_add_up():
     fit = LinearFit(observed(nominal_problem(), np.random.default_rng(37), known_gap()))
     parts = {"low": gap(fit, LOW), "high": gap(fit, HIGH)}
     mean = (parts["low"].excess_mm2 + parts["high"].excess_mm2) / 2
@@ -129,7 +129,7 @@ def test_subsets_add_up():
 
 
 def test_parts_are_pooled_into_the_whole():
-    """The mean square exactly; it is known no better, for parts are taken to err alike."""
+    """The mean square agrees exactly; its error does not shrink, as parts share their errors."""
     fit = LinearFit(observed(nominal_problem(), np.random.default_rng(37), known_gap()))
     whole, both = gap(fit), pooled([gap(fit, LOW), gap(fit, HIGH)])
     assert both.gap_mm == pytest.approx(whole.gap_mm, rel=1e-10)
@@ -142,14 +142,14 @@ def test_parts_are_pooled_into_the_whole():
 
 @pytest.mark.parametrize(("deviations", "part"), [(-1.0, 0.0), (2.0, 0.5), (6.0, 0.9)])
 def test_an_excess_that_may_be_chance_is_credited_in_part(deviations, part):
-    """Worked by hand: of two deviations 4 / (4 + 4), of six 36 / (36 + 4)."""
+    """Calculated by hand: 4 / (4 + 4) for two deviations, 36 / (36 + 4) for six."""
     some = Gap(0.0, 0.0, 0.0, 0.0, sd_mm2=0.003, noise_mm=0.0, points=9)
     excess = deviations * some.sd_mm2
     assert credited(excess, some, 0.1) == pytest.approx(part * max(excess, 0.0))
     assert credited(excess, some, 0.0) == max(excess, 0.0)
 
 
-def test_the_floor_is_in_the_gap_and_in_its_interval():
+def test_gap_and_interval_include_the_floor():
     fit = LinearFit(observed(nominal_problem(), np.random.default_rng(38), known_gap()))
     found = gap(fit, floor_mm=0.08)
     noise = SETTINGS.gap.noise_variance_sd * found.noise_mm**2
@@ -163,7 +163,7 @@ def test_the_floor_is_in_the_gap_and_in_its_interval():
 
 
 def test_true_model_gap_is_close_to_the_floor():
-    """Nothing is missing but the floor: the gap is nearer to it than what noise alone leaves."""
+    """Only the floor is left, so the gap is closer to it than to the residue of noise alone."""
     rng = np.random.default_rng(46)
     fits = [LinearFit(observed(nominal_problem(), rng)) for _ in range(60)]
     floor_mm = 0.1
@@ -173,14 +173,14 @@ def test_true_model_gap_is_close_to_the_floor():
 
 
 def both(rng, size=1.0):
-    """An image with an effect and a rest: the fits without and with the effect."""
+    """Return fits without and with the effect to an image with the effect and a remainder."""
     problem = observed(nominal_problem(), rng, size * known_gap())
     return problem, problem.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
 
 
 @pytest.mark.parametrize(("train", "judge"), [(None, None), (LOW, HIGH)])
-def test_shrinkage_and_its_interval(train, judge):
-    """Against the share of the noise-free gap: unbiased, covered, and not too wide."""
+def test_shrinkage_is_unbiased_and_covered(train, judge):
+    """The truth is the share of the noise-free gap; the interval is not too wide."""
     rng = np.random.default_rng(39)
     truth, errors, held, widths = known_gap(), [], [], []
     for seed in range(150):
@@ -203,7 +203,7 @@ def test_shrinkage_and_its_interval(train, judge):
 
 
 def test_held_out_shrinkage_is_unbiased_and_covered():
-    """Against the noise-free gaps that the two left-out fits really leave: unbiased, covered."""
+    """The truth is the noise-free gap that the two held-out fits really leave."""
     rng = np.random.default_rng(41)
     truth, errors, held = known_gap(), [], []
     for seed in range(150):
@@ -226,8 +226,8 @@ def test_held_out_shrinkage_is_unbiased_and_covered():
 
 
 @pytest.mark.parametrize(("stated", "least"), [(1.0, 0.65), (1.3, 0.8)])
-def test_a_small_gap_and_its_share_are_found_although_too_much_noise_is_stated(stated, least):
-    """An effect of 0.15 mm that is all there is; noise of 0.3 mm, stated up to 30 % too large."""
+def test_a_small_gap_is_found_although_the_given_noise_is_too_large(stated, least):
+    """The only effect is 0.15 mm; noise of 0.3 mm is given as up to 30 % too large."""
     rng = np.random.default_rng(43)
     truth = -0.15 * catalogue()[1].columns[:, 0]
     true = nominal_problem().covariance_factor
@@ -257,7 +257,7 @@ def test_held_out_shrinkage_pools_single_states():
 
 
 def test_unconstrained_states_are_not_assessed():
-    """An effect that only one state shows, and there a hundred times louder."""
+    """An effect is visible in only one state, and a hundred times larger there."""
     noise = nominal_problem().covariance_factor @ np.random.default_rng(46).standard_normal(120)
     nominal = replace(nominal_problem(), residual=known_gap() + noise)
     column = 100.0 * catalogue()[1].columns * HIGH[:, None]
@@ -275,7 +275,7 @@ def test_unconstrained_states_are_not_assessed():
     assert Comparison(nominal, each, 1, draws=20).unseen(STATE) == (None, [None, None])
 
 
-def test_no_share_if_there_may_be_no_gap():
+def test_share_is_omitted_if_there_may_be_no_gap():
     gaps = [GapEstimate(mm, 0.8 * mm, 1.2 * mm, 0.25, 800) for mm in (0.15, 0.08)]
     share = ShareEstimate(0.7, 0.4, 0.9)
     whole = GapSummary(gaps[0], 0.25, 0.06, gaps[1], *gaps, share=share, held_out_share=share)
@@ -286,7 +286,7 @@ def test_no_share_if_there_may_be_no_gap():
     assert doubtful.held_out_after == gaps[1]
 
 
-def test_a_floor_that_is_not_known_exactly_widens_the_interval_of_the_share(monkeypatch):
+def test_an_uncertain_floor_widens_the_interval_of_the_share(monkeypatch):
     nominal, effect = both(np.random.default_rng(44))
     loose = Comparison(nominal, effect, 7, floor_mm=0.15).shrinkage()
     exact = replace(SETTINGS, gap=replace(SETTINGS.gap, floor_range=(1.0, 1.0)))
@@ -297,7 +297,7 @@ def test_a_floor_that_is_not_known_exactly_widens_the_interval_of_the_share(monk
     assert loose.high - loose.low > 1.2 * (firm.high - firm.low)
 
 
-def test_shrinkage_is_the_same_for_the_same_seed():
+def test_equal_seeds_give_equal_shrinkages():
     nominal, effect = both(np.random.default_rng(40))
     assert Comparison(nominal, effect, 7).shrinkage() == Comparison(nominal, effect, 7).shrinkage()
     assert (
@@ -306,7 +306,7 @@ def test_shrinkage_is_the_same_for_the_same_seed():
     )
 
 
-def test_no_shrinkage_without_a_gap():
+def test_shrinkage_is_nan_without_a_gap():
     nominal = nominal_problem()
     effect = nominal.freed(catalogue()[1].columns, catalogue()[1].prior_sd)
     found = Comparison(nominal, effect, 1).shrinkage()
@@ -315,7 +315,7 @@ def test_no_shrinkage_without_a_gap():
 
 
 def scans_that_are_turned(rng):
-    """Fits to scans with free poses, without and with an effect that resembles a rotation."""
+    """Return fits with free scan poses, without and with an effect that resembles a rotation."""
     points, normals, states = layout(60)
     rigid = rigid_columns(points, normals, (0.0, 0.0, 0.0)) * np.repeat([0.3, 0.3], 3)
     poses = np.hstack([rigid * (states == s)[:, None] for s in (0, 1)])
@@ -334,7 +334,7 @@ LIKE_A_TURN = 16.0
 
 
 def test_scan_poses_come_from_the_best_fit():
-    """The model without the effect would turn the scans, and its gap be too small."""
+    """The model without the effect would rotate the scans, and its gap would be too small."""
     rng = np.random.default_rng(45)
     found, by_itself, true, kept_out = [], [], [], []
     for seed in range(60):

@@ -1,4 +1,4 @@
-"""The gap averaged over hypotheses, in a linear world: calibrated against truths from the prior."""
+"""The gap averaged over hypotheses in a linear world, calibrated with truths from the prior."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -26,7 +26,7 @@ NAMES = (TILT.name,)
 
 
 class LinearFit:
-    """A model that is linear: its optimum, and the hypothesis around it."""
+    """A linear model: its optimum, and the hypothesis around it."""
 
     def __init__(self, problem, columns=None, sd=()):
         freed = problem if columns is None else problem.freed(columns, np.asarray(sd))
@@ -47,7 +47,7 @@ class LinearFit:
 
 
 def analysis_of(nominal):
-    """An analysis as far as `draw_gaps` uses it, without form errors."""
+    """Return the parts of an analysis that `draw_gaps` uses, without form errors."""
     noise = known_noise_model(K, 1e-2)
     fields = [white.columns for white in noise._fields[0]]
     factor = noise._factors[0]
@@ -63,14 +63,14 @@ def analysis_of(nominal):
 
 
 def truth_of(kind, rng):
-    """The true effects apart from the constants, as residuals."""
+    """Return the true effects, without the constants, as residuals."""
     if kind == "tilt":
         return signal_of(TILT, rng)
     return field_draw(K, rng) if kind == "field" else np.zeros(2 * K)
 
 
 def diagnosed(problem):
-    """Probabilities and draws, with the tilt named."""
+    """Return the nominal and tilted fits and the draws, with the tilt named."""
     joint = joint_evidence(problem, [TILT])
     weighed = [joint.hypothesis(()), joint.hypothesis(NAMES)]
     nominal, tilted = LinearFit(problem), LinearFit(problem, TILT.columns, TILT.prior_sd)
@@ -85,7 +85,7 @@ def rms(values):
 
 @pytest.mark.parametrize("kind", ["nothing", "tilt", "field"])
 def test_intervals_cover_true_gaps(kind):
-    """For any cause, 90 % of the distances between model and body are covered."""
+    """For each cause, 90 % of the true distances between model and body are covered."""
     rng = np.random.default_rng(5)
     problem, held, held_after, errors = nominal_problem(K), [], [], []
     for _ in range(60):
@@ -100,7 +100,7 @@ def test_intervals_cover_true_gaps(kind):
         low, high = np.quantile(drawn.after_mm, [0.05, 0.95])
         held_after.append(low <= after <= high)
         errors.append(drawn.before_mm.mean() - before)
-    # Nine in ten of all kinds together: of a field, which is often taken for nothing, fewer.
+    # Coverage is 90 % over all kinds, but lower for a field, which is often taken for no gap.
     least = 0.7 if kind == "field" else 0.82
     assert np.mean(held) > least
     assert np.mean(held_after) > least
@@ -108,7 +108,7 @@ def test_intervals_cover_true_gaps(kind):
 
 
 def test_uncertain_causes_contribute_by_probability():
-    """Half a tilt and half something else: less of the gap is taken away than a sure tilt takes."""
+    """A tilt that is half certain removes less of the gap than a certain tilt does."""
     rng = np.random.default_rng(8)
     problem = observed(nominal_problem(K), rng, signal_of(TILT, rng))
     nominal = LinearFit(problem)
@@ -137,7 +137,7 @@ def test_an_effect_that_was_not_fitted_counts_as_a_field_and_a_hidden_one_as_no_
     np.testing.assert_array_equal(hidden, found[()])
 
 
-def test_draws_are_the_same_each_time_and_floors_widen_them():
+def test_draws_are_repeatable_and_floors_enlarge_them():
     rng = np.random.default_rng(10)
     problem = observed(nominal_problem(K), rng, signal_of(TILT, rng))
     nominal = LinearFit(problem)
@@ -152,7 +152,7 @@ def test_draws_are_the_same_each_time_and_floors_widen_them():
 
 @pytest.mark.parametrize(("side", "edge"), [(1, 0.0), (-1, 0.4)])
 def test_a_bound_moves_correlated_parameters(side, edge):
-    """Two parameters of which scans know the sum alone: it stays, whichever is cut at its edge."""
+    """Scans determine only the sum of two parameters; moving one to its bound preserves it."""
     covariance = np.array([[1.0, -0.99], [-0.99, 1.0]])
     rng = np.random.default_rng(11)
     z = np.linalg.cholesky(covariance) @ rng.standard_normal((2, 500))

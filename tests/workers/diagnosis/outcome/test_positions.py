@@ -18,7 +18,7 @@ CENTRE_MM = (100.0, -20.0, 22.5)
 
 
 @pytest.mark.parametrize(("segmented", "between"), [(True, 0.06), (False, 0.0)])
-def test_intervals_of_stiffness_include_the_difference_between_solvers(
+def test_stiffness_intervals_include_the_difference_between_solvers(
     segmented: bool, between: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     posterior = ParameterPosterior(np.log([0.011, 2.0]), np.array([0.02, 0.03]))

@@ -1,4 +1,4 @@
-"""A map of causes in a world that is linear and normal, where its noise is known."""
+"""A map of causes in a linear, normal world, in which the noise is known."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ PLACES = np.array([[x, 0.0, 0.0] for x in (6.0, 18.0, 30.0, 42.0, 54.0)])
 
 
 def world(residual):
-    """Residuals on a line with correlated noise and three free parameters."""
+    """Return a problem on a line with correlated noise and three free parameters."""
     covariance = 0.09 * np.exp(-0.5 * (np.subtract.outer(LINE, LINE) / 4.0) ** 2)
     factor = factored(covariance + 0.01 * np.eye(M))
     nominal = np.stack([np.ones(M), LINE / 30 - 1, (LINE / 30 - 1) ** 2], axis=1)
@@ -32,7 +32,7 @@ def lump(strength=1.0):
 
 
 def draws(count):
-    """Residuals with the parameters and the noise drawn from what is believed of them."""
+    """Return residuals with parameters and noise drawn from their priors."""
     rng = np.random.default_rng(5)
     empty = world(np.zeros(M))
     parameters = rng.standard_normal((P, count)) * empty.nominal_sd[:, None]
@@ -41,14 +41,14 @@ def draws(count):
     ).T
 
 
-def test_scores_of_noise_are_unit_normal_with_the_stated_maximum():
+def test_scores_of_noise_are_standard_normal_with_the_reported_maximum():
     found = [cause_map(world(residual), lump(), PLACES) for residual in draws(400)]
     z = np.array([one.z for one in found])
     assert abs(z.mean()) < 0.1
     # The standard error of a variance from 400 draws is 0.07.
     np.testing.assert_allclose(z.var(axis=0), 1.0, atol=0.25)
     level = found[0].reached_by_noise
-    assert 2.0 < level < 3.0  # of one place 1.96, of five independent ones 2.57
+    assert 2.0 < level < 3.0  # 1.96 for one place, 2.57 for five independent places
     assert 0.02 < (np.abs(z).max(axis=1) > level).mean() < 0.09
 
 
@@ -86,7 +86,7 @@ def test_an_explained_spot_disappears_from_the_map():
     assert not after.seen[2]
 
 
-def test_places_that_the_scans_cannot_show_are_not_seen():
+def test_places_that_the_scans_cannot_show_are_marked_unseen():
     assert cause_map(world(np.zeros(M)), lump(), PLACES).seen.all()
     faint = cause_map(world(np.zeros(M)), lump(1e-3), PLACES)
     assert not faint.seen.any()
@@ -99,7 +99,7 @@ def scored(places, z, seen):
 
 
 def test_voxels_are_exact_at_places_and_empty_elsewhere():
-    """Places at 1 and 9 mm in a body from 0 to 20 mm; voxels of 2 mm."""
+    """Places are at 1 and 9 mm in a body from 0 to 20 mm, with voxels of 2 mm."""
     body = Volume(np.ones((2, 2, 20), np.uint8), (1.0, 1.0, 1.0), (0.5, 0.5, 0.5))
     places = [[1.0, 1.0, 1.0], [9.0, 1.0, 1.0], [17.0, 1.0, 1.0]]
     drawn = voxels(scored(places, [4.0, -2.0, 5.0], [True, True, False]), body, 2.0)
@@ -109,12 +109,12 @@ def test_voxels_are_exact_at_places_and_empty_elsewhere():
     assert line[0] == pytest.approx(4.0, abs=1e-5)
     assert line[4] == pytest.approx(-2.0, abs=1e-5)
     assert (np.diff(line[:5]) < 0).all()
-    # From half way to the unseen place on there is nothing.
+    # The map is empty from halfway to the unseen place onwards.
     assert np.isfinite(line[:6]).all()
     assert np.isnan(line[7:]).all()
 
 
-def test_voxels_outside_of_the_body_and_far_from_places_are_empty():
+def test_voxels_outside_the_body_or_far_from_places_are_empty():
     values = np.zeros((3, 3, 60), np.uint8)
     values[:, :, 10:] = 1
     body = Volume(values, (1.0, 1.0, 1.0))

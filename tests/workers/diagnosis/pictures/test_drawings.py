@@ -1,4 +1,4 @@
-"""Arrays for pictures are consistent, and are kept in the store."""
+"""Arrays for pictures are consistent with each other and with their records."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from palpate.workers.diagnosis.problem.shapes import shapes
 
 
 def egg(shift_mm=0.0, half_axis_x_mm=24.0):
-    """Fat with a gland in its middle, voxels of 1.5 mm; moved along x."""
+    """Return fat with a gland in its middle, in voxels of 1.5 mm, moved along x."""
     z, y, x = (a * 1.5 for a in np.mgrid[-14:15, -14:15, -22:23])
     r = np.sqrt(((x - shift_mm) / half_axis_x_mm) ** 2 + (y / 15) ** 2 + (z / 15) ** 2)
     values = (r < 1).astype(np.uint8) + (r < 0.6)
@@ -83,7 +83,7 @@ def test_overlap_rows_have_both_models_and_omit_empty_interfaces(points):
     assert [(row.interface, row.after) for row in outline_only] == [("outline", None)]
 
 
-def test_means_are_over_the_rows_of_each_scan(points):
+def test_local_means_are_computed_within_each_scan(points):
     k = len(points)
     residual = np.concatenate([np.full(k, 0.3), np.full(k, -0.1)])
     fit = Linearised(residual, np.zeros((2 * k, 0)), np.ones(0), np.zeros(0), 0.2 * np.eye(2 * k))
@@ -101,7 +101,7 @@ def test_means_are_over_the_rows_of_each_scan(points):
     assert sd.max() <= 0.2
 
 
-def test_causes_and_their_record_name_the_same_place(tmp_path):
+def test_cause_map_and_its_record_agree_on_the_place(tmp_path):
     places = np.array([[-10.0, 0.0, 0.0], [0.0, 0.0, 0.0], [10.0, 3.0, -1.0]])
     found = CauseMap(
         places,
@@ -112,14 +112,14 @@ def test_causes_and_their_record_name_the_same_place(tmp_path):
         3.1,
     )
     record = loudest_place(found)
-    # The second place is louder, but no scan shows it.
+    # The second place has a larger score, but no scan shows it.
     assert record.score == -5.0
     assert (record.x_mm, record.y_mm, record.z_mm) == (10.0, 3.0, -1.0)
     assert (record.places, record.places_seen) == (3, 2)
     arrays = causes({"before": found}, egg())
     spacing, origin = arrays["cause_frame"]
     x, y, z = np.rint((places[2] - origin) / spacing).astype(int)
-    # The centre of the voxel is within a millimetre of the place on every axis.
+    # The centre of the voxel is within a millimetre of the place along every axis.
     assert arrays["cause_before"][z, y, x] == pytest.approx(-5.0, abs=1.5)
     save_arrays(tmp_path / "maps.zarr", arrays)
     kept, _ = load_arrays(tmp_path / "maps.zarr")

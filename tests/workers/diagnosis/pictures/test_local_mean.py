@@ -1,4 +1,4 @@
-"""Averages over a neighbourhood keep constants and reduce noise according to the weights."""
+"""Averages over a neighbourhood preserve constants and reduce noise according to the weights."""
 
 import numpy as np
 import pytest
@@ -12,19 +12,19 @@ UP = np.tile([0.0, 0.0, 1.0], (K, 1))
 ONE = np.zeros(K, np.int32)
 
 
-def test_a_constant_gap_stays_as_it_is_and_scans_do_not_mix():
+def test_a_constant_gap_is_preserved_and_scans_do_not_mix():
     residual = np.repeat([[0.4], [-0.2]], K, axis=1)
     mean, _ = local_mean(POINTS, UP, ONE, residual, np.eye(2 * K))
     np.testing.assert_allclose(mean, residual, rtol=1e-12)
 
 
-def test_independent_noise_falls_by_the_length_and_common_noise_does_not():
+def test_averaging_reduces_independent_but_not_common_noise():
     """The sum of squares of Gaussian weights is h / (2 sqrt(pi) L) on a line of spacing h."""
     residual = np.zeros((1, K))
     _, sd = local_mean(POINTS, UP, ONE, residual, 0.09 * np.eye(K), length_mm=8.0)
     middle = K // 2
     assert sd[0, middle] == pytest.approx(0.3 * np.sqrt(2.0 / (2 * np.sqrt(np.pi) * 8.0)), rel=1e-6)
-    assert sd[0, 0] > 1.3 * sd[0, middle]  # an end has half of the neighbours
+    assert sd[0, 0] > 1.3 * sd[0, middle]  # an end has half as many neighbours
     _, common = local_mean(POINTS, UP, ONE, residual, 0.09 * np.ones((K, K)))
     np.testing.assert_allclose(common, 0.3, rtol=1e-12)
 

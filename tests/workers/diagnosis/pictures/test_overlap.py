@@ -1,4 +1,4 @@
-"""Overlap of bodies whose overlap is known: cuboids that are moved and stretched, noisy balls."""
+"""Bodies with a known overlap: moved and stretched cuboids, and noisy balls."""
 
 import numpy as np
 import pytest
@@ -17,13 +17,13 @@ from palpate.workers.diagnosis.outcome.pictures.overlap import (
 )
 from tests.workers.comparison.observation.redrawn import perturbed
 
-# A fat cuboid from 0 to 24 x 16 x 12 mm with a glandular one inside, voxels of 1 mm.
+# A fat cuboid from 0 to 24 x 16 x 12 mm with a glandular cuboid inside, in voxels of 1 mm.
 SIZE = np.array([24, 16, 12])
 CORE = np.array([[6, 18], [4, 12], [3, 9]])
 
 
 def cuboid(stretch=(1, 1, 1), shift=(0, 0, 0)):
-    """Labels of the cuboid, every axis stretched from 0 and then shifted."""
+    """Return labels of the cuboid, with every axis stretched from 0 and then shifted."""
     x0, y0, z0 = shift
     nx, ny, nz = SIZE * stretch
     values = np.ones((nz, ny, nx), np.uint8)
@@ -33,7 +33,7 @@ def cuboid(stretch=(1, 1, 1), shift=(0, 0, 0)):
 
 
 def box_mesh():
-    """Six tetrahedra around one diagonal of the cuboid."""
+    """Return a mesh of six tetrahedra around one diagonal of the cuboid."""
     corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)]) * SIZE
     tets = np.array(
         [[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]],
@@ -51,20 +51,20 @@ def test_a_correct_prediction_overlaps_fully():
         assert (score.jc, score.dice, score.mhd_mm, score.gsf) == (1.0, 1.0, 0.0, -np.inf)
 
 
-def test_a_shifted_body_overlaps_by_its_share_of_length():
+def test_overlap_of_a_shifted_body_is_its_share_of_the_length():
     mesh, observed = box_mesh(), cuboid(shift=(3, 0, 0))
     found = overlaps(predict(cuboid(), mesh, np.zeros_like(mesh.nodes), observed), observed)
     for name, length in (("outline", 24), ("glandular", 12)):
         assert found[name].jc == pytest.approx((length - 3) / (length + 3), rel=1e-12)
         assert found[name].dice == pytest.approx((length - 3) / length, rel=1e-12)
         assert 0 < found[name].mhd_mm < 3
-        # The voxels are cubes of 1 mm, so both distances are the same number.
+        # The voxels are cubes of 1 mm, so both distances are numerically equal.
         assert found[name].gsf == pytest.approx(np.log((1 - found[name].jc) * found[name].mhd_mm))
 
 
 @pytest.mark.parametrize("slices", [0, 2])
 def test_nothing_is_predicted_below_the_slices_of_a_scan(slices):
-    """A body whose lower end sinks by 2 mm, and a scan that has two more slices there or none."""
+    """The lower end of a body sinks by 2 mm, where the scan has two more slices or none."""
     mesh, whole = box_mesh(), cuboid()
     sunk = mesh.nodes * np.array([0.0, 0.0, 2 / 12]) - np.array([0.0, 0.0, 2.0])
     values = np.concatenate([whole.values[:1]] * slices + [whole.values])
@@ -75,16 +75,16 @@ def test_nothing_is_predicted_below_the_slices_of_a_scan(slices):
 
 
 def test_reachable_jc_matches_noisy_balls():
-    """Two segmentations of one ball differ by the amount expected from area and noise."""
+    """Two segmentations of one ball differ by the amount expected from its area and the noise."""
     z, y, x = np.mgrid[-36:37, -36:37, -36:37]
     r = np.sqrt(x**2 + y**2 + z**2)
-    # The noise of the gland is independent of that of the outline.
+    # The noise on the gland is independent of the noise on the outline.
     ball = Volume((r < 30).astype(np.uint8) + (r < 18), (1.0, 1.0, 1.0), (-36.0, -36.0, -36.0))
     noise = SegmentationNoise(0.5, 6.0, 0.5, 0.08)
     first, second = (perturbed(ball, noise, seed) for seed in (1, 2))
     found = overlaps(first, second)
-    # A voxel grid rounds each drawing by another 1 / sqrt(12) of an edge, averaged over ways
-    # to cross it; two drawings share much of that, so it is left out.
+    # A voxel grid rounds each drawing by another 1 / sqrt(12) of an edge, averaged over directions;
+    # two drawings share most of this error, so it is ignored.
     seen = observe(second, (OUTLINE, GLANDULAR)).distances
     outline, gland = (one.interface_mm2 for one in seen)
     for interface, area in ((OUTLINE, outline), (GLANDULAR, gland)):
@@ -98,15 +98,16 @@ def test_percentiles_use_one_interface():
     residual = np.array([-0.4, 9.0, 0.1, 0.2, -0.3, 9.0])
     interface = np.array([0, 1, 0, 0, 0, 1], np.int32)
     found = distances(residual, interface, 0)
-    # Sorted without sign: 0.1 0.2 0.3 0.4; 95 % lie at 0.85 of the way from 0.3 to 0.4.
+    # Sorted absolute values: 0.1 0.2 0.3 0.4; the 95th percentile is 0.85 of the way from 0.3 to
+    # 0.4.
     assert found.p50_mm == pytest.approx(0.25)
     assert found.p95_mm == pytest.approx(0.385)
     assert found.signed_mean_mm == pytest.approx(-0.1)
     assert found.points == 4
 
 
-def test_bodies_in_one_box_keep_their_places():
-    """Columns of voxels along x, at 10 and at 12 mm::
+def test_bodies_in_one_box_keep_their_positions():
+    """The bodies are rows of voxels along x, at 10 and at 12 mm::
 
     aa..
     ..bb   (one step along y)

@@ -1,4 +1,4 @@
-"""Coarse surfaces: closed, oriented outwards, and as large as the original ones."""
+"""Coarse surfaces are closed, oriented outwards, and as large as the originals."""
 
 import numpy as np
 import pytest
@@ -18,26 +18,26 @@ def ball():
 
 
 def volume_of(drawn):
-    """By Gauss' theorem: positive only if the triangles look outwards."""
+    """Return the volume by Gauss' theorem; it is positive only if triangles face outwards."""
     a, b, c = (drawn.vertices[drawn.triangles[:, i]] for i in range(3))
     return float((np.cross(b - a, c - a) * a).sum() / 6)
 
 
-def test_a_coarse_ball_is_nearly_as_large_and_much_lighter(ball):
+def test_a_coarse_ball_is_nearly_as_large_with_far_fewer_triangles(ball):
     true = 4 / 3 * np.pi * RADIUS_MM**3
     errors, counts = [], []
     for edge_mm in (6.0, 3.0, 1.5):
         drawn = shape(ball, (Tissue.FAT,), edge_mm)
         errors.append(abs(volume_of(drawn) / true - 1))
         counts.append(len(drawn.triangles))
-    # A chord is inside its arc by the square of its length.
+    # A chord is inside its arc by a distance proportional to its squared length.
     assert errors[2] < errors[1] < errors[0] < 0.08
     assert errors[1] < 0.03
     assert counts[0] < 500
     assert counts[0] < counts[1] / 3 < counts[2] / 9
 
 
-def test_no_edge_is_open(ball):
+def test_coarse_surfaces_are_closed(ball):
     drawn = shape(ball, (Tissue.FAT,))
     t = drawn.triangles
     edges = np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1)

@@ -1,4 +1,4 @@
-"""A case of which only the body at rest has been scanned."""
+"""A case for which only the body at rest has been scanned."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -17,7 +17,7 @@ NODES, SPACING_MM = 700, 8.0
 
 
 def write_meant(folder: Path, pressed: Sequence[dict], springs: bool = True) -> Path:
-    """case.yaml and the reference scan, no loaded ones; `springs` hold the chest wall."""
+    """Write case.yaml and the reference scan only; optional `springs` hold the chest wall."""
     folder.mkdir(parents=True)
     said = described(pressed)
     if not springs:
@@ -29,15 +29,15 @@ def write_meant(folder: Path, pressed: Sequence[dict], springs: bool = True) -> 
 
 @cache
 def at_rest():
-    """The body."""
+    """Return the labels of the body at rest."""
     return generate_breast(PHANTOM, seed=5).labels
 
 
 def at_force(force_n: float) -> dict:
-    """Entry of case.yaml for a planned scan."""
+    """Return the entry in case.yaml for a planned scan."""
     return {"volume": f"not_there_{force_n:g}N.nrrd", "force_n": force_n}
 
 
 def at_distance(distance_mm: float) -> dict:
-    """The same with plates at a given distance."""
+    """Return the entry in case.yaml for a planned scan with plates at a given distance."""
     return {"volume": f"not_there_{distance_mm:g}mm.nrrd", "plate_distance_mm": distance_mm}

@@ -1,4 +1,4 @@
-"""Expected information of planned scans, against known answers."""
+"""Expected information of planned scans, compared with known answers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -61,7 +61,7 @@ World = tuple[InverseProblem, list[CandidateLoad], dict[int, LoadSensitivity]]
 
 
 def world(folder: Path, pressed: list[dict], which: list[int], springs: bool = True) -> World:
-    """The body, all states, and what some of them will show."""
+    """Return the body, all states, and the sensitivities of some of them."""
     acquisition = acquisition_of(read_case(write_meant(folder, pressed, springs), loaded=False))
     unloaded = inverse_problem_of(acquisition, NODES, SPACING_MM)
     states = candidate_loads(acquisition, unloaded.frame, unloaded.model.finest.nodes)
@@ -75,7 +75,7 @@ def world(folder: Path, pressed: list[dict], which: list[int], springs: bool = T
 
 @pytest.fixture(scope="module")
 def sliding(tmp_path_factory: pytest.TempPathFactory) -> World:
-    """Two forces on a body balanced only by moduli and force, and a view."""
+    """Return two forces and a further view of a body on which only moduli balance the force."""
     folder = tmp_path_factory.mktemp("planned") / "case"
     return world(folder, [at_force(6), at_force(18)], [LOW, HIGH, 4], springs=False)
 
@@ -90,11 +90,11 @@ def row(world_: World, design: Design, name: str):
     return next(r for r in chance(world_, design).rows if r.name == name)
 
 
-# What one scan will show
+# Sensitivities of one scan
 
 
 def test_normals_follow_uniform_stretch_and_rotation(sliding: World) -> None:
-    """Nanson: n' ~ F^-T n, exactly, where F is the same everywhere."""
+    """Nanson's formula, n' ~ F^-T n, is exact where F is the same everywhere."""
     unloaded, _, _ = sliding
     F = np.array([[1.2, 0.3, 0.0], [-0.1, 0.8, 0.2], [0.0, 0.1, 1.1]])
     expected = unloaded.points.normals @ np.linalg.inv(F)
@@ -104,7 +104,7 @@ def test_normals_follow_uniform_stretch_and_rotation(sliding: World) -> None:
 
 
 def test_plate_row_equals_the_solver_travel(sliding: World) -> None:
-    """By differences of whole simulations; plates also penetrate slightly due to the penalty."""
+    """Whole simulations are compared; plates also penetrate slightly due to the penalty."""
     unloaded, states, found = sliding
     middle = {f.name: float(np.exp(f.log_mean)) for f in unloaded.free}
     for column, name in enumerate(middle):
@@ -122,13 +122,13 @@ def test_effects_on_images_do_not_change_the_plate_row(sliding: World) -> None:
     assert (np.abs(columns[:-1]).max(axis=0) > 0.5).any()
 
 
-# What is known to hide, and what frees it
+# Effects known to be hidden, and measurements that reveal them
 
 
-def test_force_is_equivalent_to_a_change_of_moduli(sliding: World) -> None:
-    """If only moduli resist, F and E enter as F / E: column of F = -sum of the columns of E.
+def test_force_error_is_equivalent_to_a_change_in_moduli(sliding: World) -> None:
+    """If only moduli resist, F and E enter as F / E, so F's column is minus the sum of E's columns.
 
-    The penalty of the plates, a stiffness of its own, is felt a little.
+    The penalty of the plates, an additional stiffness, has a slight influence.
     """
     for part in (sliding[2][LOW], sliding[2][HIGH]):
         of_force = part.columns["plate_force"][:, 0]
@@ -140,17 +140,17 @@ def test_force_is_equivalent_to_a_change_of_moduli(sliding: World) -> None:
     "design",
     [Design((LOW,)), Design((LOW, HIGH)), Design((LOW, HIGH, 4)), Design((LOW, HIGH), plates=True)],
 )
-def test_force_is_hidden_in_every_design(sliding: World, design: Design) -> None:
+def test_force_error_is_hidden_in_every_design(sliding: World, design: Design) -> None:
     assert row(sliding, design, "plate_force").absorbed > 0.99
     hidden = dict(zip(chance(sliding, design).names, chance(sliding, design).hidden, strict=True))
     assert hidden["plate_force"]
 
 
 @pytest.mark.parametrize("known", [None, 0])
-def test_force_is_bounded_only_by_known_moduli(sliding: World, known: int | None) -> None:
-    """Images fix F / E and no more: ln F is known as well as the ln E are together.
+def test_force_error_is_bounded_only_by_known_moduli(sliding: World, known: int | None) -> None:
+    """Images determine only F / E, so ln F is known as well as the ln E are together.
 
-    Its information is the sum of theirs, 1 / sd^2 each, with that of a measurement to 10 %;
+    Its information is the sum of theirs, 1 / sd^2 each, including that of a measurement to 10 %;
     the penalty of the plates adds a little.
     """
     information = sum(1 / f.log_sd**2 for f in sliding[0].free) + (100 if known == 0 else 0)
@@ -158,14 +158,14 @@ def test_force_is_bounded_only_by_known_moduli(sliding: World, known: int | None
     assert found == pytest.approx(np.sqrt(NONCENTRALITY / information), rel=0.08)
 
 
-def test_a_second_load_shows_stiffening(sliding: World) -> None:
+def test_a_second_load_reveals_stiffening(sliding: World) -> None:
     one = row(sliding, Design((LOW,)), "strain_stiffening").minimum[0]
     two = row(sliding, Design((LOW, HIGH)), "strain_stiffening").minimum[0]
     assert two < 0.4 * one
 
 
 def test_more_data_never_lower_the_information(sliding: World) -> None:
-    """Every minimum falls or stays, every expected log evidence grows or stays."""
+    """Minimum magnitudes never rise, and expected log evidences never fall."""
     before = chance(sliding, Design((LOW,)))
     for more in (
         Design((LOW, HIGH)),
@@ -194,7 +194,7 @@ def test_four_segmentations_halve_their_noise(sliding: World) -> None:
     np.testing.assert_allclose(often - stays, (once - stays) / 4, atol=1e-12)
 
 
-def test_reports_an_unsupported_body(sliding: World, tmp_path: Path) -> None:
+def test_plan_reports_an_unsupported_body(sliding: World, tmp_path: Path) -> None:
     """A tilt across the breast pushes it out sideways, unless springs hold the chest wall."""
     tilt = [effect("plate_tilt")]
     assert loose([sliding[2][LOW]], tilt) == tilt
@@ -210,7 +210,7 @@ def test_more_data_do_not_hide_a_visible_effect(sliding: World) -> None:
     assert not replace(loud, shown=frozenset(found.names)).hidden.any()
 
 
-def test_omits_effects_that_do_not_act(sliding: World) -> None:
+def test_plan_omits_effects_that_do_not_act(sliding: World) -> None:
     assert "skin_scaled" not in chance(sliding, Design((LOW,))).names
 
 
@@ -242,7 +242,7 @@ def test_plan_ranks_further_measurements(sliding: World) -> None:
     assert {e.name for e in told.effects if not e.seen} == set(told.silent)
 
 
-def test_plates_at_a_distance_have_no_force_effect(tmp_path: Path) -> None:
+def test_plates_at_a_given_distance_have_no_force_effect(tmp_path: Path) -> None:
     unloaded, states, found = world(tmp_path / "case", [at_distance(42)], [0])
     told = make_plan("small", unloaded, states, found, SUSPECTS)
     assert "plate_force" in told.without_columns
@@ -279,12 +279,12 @@ def test_a_heavier_load_doubles_the_force_or_brings_the_plates_closer() -> None:
     assert (closer.lower_mm, closer.upper_mm) == (-25, 25)
 
 
-def test_wall_holds_a_rotated_body_as_firmly() -> None:
+def test_wall_holds_a_rotated_body_with_its_larger_stiffness() -> None:
     wall = held_alike(Wall((False, False, True), (2e-4, 1e-6, 0.0)))
     assert wall == Wall((False, False, True), (2e-4, 2e-4, 0.0))
 
 
-def test_does_not_propose_a_planned_view(tmp_path: Path) -> None:
+def test_candidates_do_not_include_a_planned_view(tmp_path: Path) -> None:
     along_x = at_force(8) | {"axis": "x", "lower_mm": -45, "upper_mm": 45}
     acquisition = acquisition_of(
         read_case(write_meant(tmp_path / "case", [at_force(8), along_x]), loaded=False)

@@ -1,4 +1,4 @@
-"""Information of a set of states, and of a further one."""
+"""Information in a set of states, and in a further state."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ LOW = layout(60)[2] == 0
 
 
 def of_states(problem, sensitivities, rows):
-    """The problem with the residuals of a subset of states."""
+    """Return the problem with the residuals of a subset of states."""
     smaller = Linearised(
         problem.residual[rows],
         problem.nominal[rows],
@@ -33,7 +33,7 @@ def of_states(problem, sensitivities, rows):
 
 
 def test_another_state_never_lowers_the_information():
-    """Information only grows: every minimum falls or stays."""
+    """Minimum magnitudes never rise."""
     whole = nominal_problem()
     smaller, fewer = of_states(whole, catalogue(), LOW)
     for before, after in zip(fewer, catalogue(), strict=True):
@@ -44,7 +44,7 @@ def test_another_state_never_lowers_the_information():
     assert rows[1].minimum == pytest.approx(minimum_detectable(whole, catalogue()[1]))
 
 
-def test_the_nearest_relative_is_named():
+def test_the_most_similar_effect_is_named():
     tilt = catalogue()[1]
     twin = effect("twin", 2.0 * tilt.columns)
     row = detectability(nominal_problem(), (*catalogue(), twin))[1]
@@ -54,7 +54,7 @@ def test_the_nearest_relative_is_named():
     assert alone.nearest is None
 
 
-def test_residuals_do_not_matter():
+def test_separation_does_not_depend_on_the_residuals():
     rng = np.random.default_rng(61)
     seen = observed(nominal_problem(), rng, 3.0)
     here, there = (separation(p, catalogue()[:5]) for p in (seen, nominal_problem()))
@@ -62,7 +62,7 @@ def test_residuals_do_not_matter():
 
 
 def test_separation_is_the_divergence_of_dense_normals():
-    """Of the residuals that two effects predict, with all covariances written out."""
+    """The normals describe the residuals that two effects predict, with dense covariances."""
     problem = nominal_problem()
     base = problem.covariance + (problem.nominal * problem.nominal_sd**2) @ problem.nominal.T
     effects = catalogue()[:5]
@@ -78,8 +78,8 @@ def test_separation_is_the_divergence_of_dense_normals():
     assert separation(problem, effects) == pytest.approx(np.array(expected), abs=1e-8)
 
 
-def test_separation_counts_the_worst_places():
-    """The median over the places of the acting effect, against the best place of its rival."""
+def test_separation_uses_the_best_place_of_the_rival():
+    """It is the median over the places of the acting effect, against the rival's best place."""
     problem, (*_, inclusion) = nominal_problem(), catalogue()
     tilt = catalogue()[1]
     found = separation(problem, [inclusion, tilt])
@@ -89,14 +89,14 @@ def test_separation_counts_the_worst_places():
     assert found[1, 0] == pytest.approx(each[4, :4].min())
 
 
-def test_twins_are_not_separated():
+def test_identical_effects_are_not_separated():
     tilt = catalogue()[1]
     found = separation(nominal_problem(), [tilt, replace(tilt, name="twin")])
     assert found == pytest.approx(np.zeros((2, 2)), abs=1e-9)
 
 
-def test_a_second_load_separates_effects_alike_at_the_first():
-    """Two effects are identical at the low load and differ only at the high one."""
+def test_a_second_load_separates_effects_identical_at_the_first():
+    """Two effects are identical at the low load and differ only at the high load."""
     low = of_states(nominal_problem(), catalogue(), LOW)[0]
     shape = mode(60, (0, 1, 1), 0, 1.0)
     stiff = mode(60, (0, 1, 1), 0, 4.0) * (0.6 / 0.6**4)

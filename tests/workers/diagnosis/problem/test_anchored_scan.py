@@ -17,7 +17,7 @@ NOTHING = cast(Any, None)
 
 
 def drawn_plane(points, of):
-    """The distance from z = 0 as it is drawn: a random field of 0.3 mm and 4 mm, and its slope."""
+    """Return the distance from a plane drawn with errors of 0.3 mm over 4 mm, and its slope."""
     waves = np.cos(points[:, :2] @ WAVES + PHASES) * SD_MM * np.sqrt(2 / 200)
     slopes = -np.sin(points[:, :2] @ WAVES + PHASES) * SD_MM * np.sqrt(2 / 200) @ WAVES.T
     return points[:, 2] - waves.sum(axis=1), np.c_[-slopes, np.ones(len(points))]
@@ -36,7 +36,7 @@ def rms(values):
     return np.sqrt((values**2).mean())
 
 
-def test_at_the_anchor_nothing_changes():
+def test_residuals_at_the_anchor_are_unchanged():
     there = anchored(scan(drawn_plane), POINTS, NOTHING, LENGTH_MM)
     np.testing.assert_allclose(
         there.compare(POINTS, NOTHING)[0], drawn_plane(POINTS, NOTHING)[0], atol=1e-12
@@ -44,7 +44,7 @@ def test_at_the_anchor_nothing_changes():
 
 
 def test_a_body_that_slides_keeps_its_noise():
-    """3 mm along the plane do not move the interface; evaluated again, its error would differ."""
+    """Sliding by 3 mm does not move the plane, but its error would differ if evaluated again."""
     there = anchored(scan(drawn_plane), POINTS, NOTHING, LENGTH_MM)
     at_rest = drawn_plane(POINTS, NOTHING)[0]
     slid = POINTS + np.array([3.0, 0.0, 0.0])
@@ -63,7 +63,7 @@ def test_normal_motion_is_fully_visible():
 
 @pytest.mark.parametrize("step", [0.5, 2.0])
 def test_distance_of_a_round_body_is_unbiased(step):
-    """A ball that grows, and one that rotates: the bias of a disc cancels."""
+    """The bias of a disc cancels for a ball that grows and for a ball that rotates."""
     on = 40.0 * RNG.standard_normal((200, 3))
     on *= 40.0 / np.linalg.norm(on, axis=1)[:, None]
     there = anchored(scan(ball), on, NOTHING, LENGTH_MM)
@@ -76,7 +76,7 @@ def test_distance_of_a_round_body_is_unbiased(step):
 
 
 def test_growth_of_a_small_lump_is_unbiased():
-    """At a radius of 8 mm, a disc of the noise's length is not flat and its mean less steep."""
+    """At a radius of 8 mm, a disc of the noise's length is not flat, and its mean is less steep."""
     on = RNG.standard_normal((200, 3))
     on *= 8.0 / np.linalg.norm(on, axis=1)[:, None]
     lump = scan(lambda points, of: (ball(points, of)[0] + 32.0, ball(points, of)[1]))

@@ -1,4 +1,4 @@
-"""Noise of the scans: each scan's own, and the noise of the scan at rest in all of them."""
+"""Noise of the scans: each scan's own noise, and the noise of the scan at rest in all scans."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ NOISE = SegmentationNoise(0.1, 4.0, 0.06, 0.01)
 
 @pytest.fixture(scope="module")
 def inverse():
-    """Two scans, of which a plate presses half of the points of the second one flat."""
+    """Return two scans; in the second, a plate presses half of the points flat."""
     plain = replace(problem_between_plates(), noise=NOISE)
     k = len(plain.points)
     pressed = np.where(np.arange(k) < k // 2, 1.0, 0.0)
@@ -26,7 +26,7 @@ def inverse():
 
 
 def drawn(inverse, sd_mm, factor=1.0):
-    """Covariance of one drawing: of the stated length, and its smoother part."""
+    """Return the covariance of one drawing, with its smoother part."""
     settings, length = SETTINGS.noise, factor * NOISE.correlation_mm
     smoother = settings.smoother**2 * correlation(
         inverse.points, settings.smoother_lengths * length
@@ -47,7 +47,7 @@ def test_unpressed_points_share_the_error_at_rest(inverse, number):
     np.testing.assert_allclose(found[1, :, 1], pressed + own + nugget, atol=1e-12)
 
 
-def test_a_plan_expects_the_same_noise_before_plates_press(inverse):
+def test_planned_noise_equals_the_noise_without_pressed_points(inverse):
     """It also includes poses and contour bias."""
     k = len(inverse.points)
     planned = planned_covariance(inverse)

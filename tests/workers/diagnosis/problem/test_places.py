@@ -24,7 +24,7 @@ def fitted(inverse):
     return found
 
 
-def test_lump_places_are_inside():
+def test_lump_places_are_inside_the_body():
     inverse = problem_between_plates()
     offsets = places_of(inverse, LUMP)
     assert len(offsets) > 10
@@ -32,7 +32,7 @@ def test_lump_places_are_inside():
 
 
 def test_attachment_places_cover_skin_and_wall():
-    """Places are nodes of the boundary, and no node of it is farther than a diagonal away."""
+    """Places are boundary nodes, and no boundary node is farther than a diagonal away."""
     inverse = problem_between_plates()
     level = inverse.model.finest
     found = places_of(inverse, ATTACHED)
@@ -51,8 +51,8 @@ def test_global_effects_have_no_places():
 
 
 def test_attachment_secants_match_simulations():
-    """At the prior standard deviation, which moves the body by millimetres; tangents are 1.5 to
-    3.5 times too long."""
+    """They match at the prior standard deviation, which moves the body by millimetres; tangents are
+    1.5 to 3.5 times too long."""
     inverse = problem_between_plates(forces=(15.0,))
     nominal = fitted(inverse)
     columns = scan_sensitivity(inverse, nominal, 0, ATTACHED).columns
@@ -77,7 +77,7 @@ def test_attachment_secants_match_simulations():
     assert min(cosines) > 0.6
 
 
-def test_attachment_is_found_where_it_is():
+def test_attachment_is_found_at_its_true_place():
     true = {
         "attachment_stiffness_x": 6e-4,
         "attachment_stiffness_y": 3e-4,
@@ -101,7 +101,7 @@ def test_attachment_is_found_where_it_is():
 
 @pytest.mark.slow
 def test_skin_held_along_one_side_is_a_large_attachment():
-    """Springs of 28 mm radius at one side of the body."""
+    """Springs cover a radius of 28 mm on one side of the body."""
     true = {"attachment_stiffness_y": 2e-4, "attachment_radius": 28.0, "attachment_x": 26.0}
     inverse = problem_between_plates(ATTACHED, true)
     analysis = analysed(inverse, fitted(inverse), [ATTACHED, effect("gravity_change")])
@@ -116,7 +116,7 @@ def test_skin_held_along_one_side_is_a_large_attachment():
 
 
 def total_n_per_mm(inverse, values):
-    """Stiffness of all springs of an attachment."""
+    """Return the total stiffness of an attachment's springs."""
     level = inverse.model.finest
     chosen = {name: values[name] for name in ATTACHED.names if name in values}
     without = inverse.scans[0].problem({"E_fat": 0.01, "E_gl": 0.03})
@@ -125,7 +125,7 @@ def total_n_per_mm(inverse, values):
     return next(both) - next(both)
 
 
-def test_growth_is_found():
+def test_growth_is_recovered():
     true = {"ln_growth_fat": 0.02, "ln_growth_glandular": -0.03}
     inverse = problem_between_plates(GROWN, true)
     analysis = analysed(inverse, fitted(inverse), [GROWN, effect("plate_tilt")])

@@ -1,4 +1,4 @@
-"""Points that a plate presses are on it, whatever was drawn; others are unaffected."""
+"""Points pressed by a plate are on it wherever they were drawn; others are unaffected."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ DRAWN_SD_MM = 0.3
 
 @pytest.fixture(scope="module")
 def drawn():
-    """A body under two loads with segmentation errors, and the solution for each."""
+    """Return a body with segmentation errors, its solutions and pressed shares for two loads."""
     inverse = problem_between_plates()
     on = inverse.points
     errors = DRAWN_SD_MM * np.random.default_rng(2).standard_normal(len(on))
@@ -36,7 +36,7 @@ def test_pressed_points_are_on_the_plate(drawn):
         before, after = one.points @ axis, flat.followed(scan).moved(u) @ axis
         on_upper = (share > 0.999) & (flat.points.normals @ axis > 0)
         assert on_upper.sum() >= 5
-        # The penalty lets faces into the plate by less than a tenth of a millimetre.
+        # The penalty lets faces penetrate the plate by less than a tenth of a millimetre.
         assert np.ptp(after[on_upper]) < 0.1
         assert np.ptp(before[on_upper]) > 2 * DRAWN_SD_MM
         np.testing.assert_array_equal(after[share == 0], before[share == 0])
@@ -62,13 +62,13 @@ def test_derivatives_use_the_flattened_points(drawn):
         assert np.abs(found[:, i] - expected).max() < 2e-2 * np.abs(expected).max()
 
 
-def test_without_plates_nothing_changes(drawn):
+def test_problem_without_plates_is_unchanged(drawn):
     inverse, _, shares = drawn
     assert with_pressed_points(inverse, [0.0 * share for share in shares]) is inverse
 
 
 def test_pressed_points_exclude_the_error_at_rest(drawn):
-    """Two scans share the error of the scan at rest, but where a plate presses in either."""
+    """Two scans share the error of the scan at rest, except where a plate presses in either."""
     inverse, _, shares = drawn
     noise = replace(inverse.noise, reference_sd_mm=0.2, sd_mm=0.1)
     k = len(inverse.points)

@@ -32,7 +32,7 @@ def poses():
 
 
 def shift():
-    """A body force that shifts the body in proportion to its load."""
+    """Return a body force that shifts the body in proportion to its load."""
     return mode(K, (0, 0, 0), 0, 1.0)
 
 
@@ -53,7 +53,7 @@ def test_evidence_is_the_mean_over_pose_scales():
 
 
 def gain_of_the_shift(rng, *, off_mm):
-    """Evidence of a shift of 0.3 mm against poses alone, for pose errors of `off_mm`."""
+    """Return the evidence for a shift of 0.3 mm over poses alone, for pose errors of `off_mm`."""
     problem = nominal_problem(K)
     off = poses() @ rng.standard_normal(12) * off_mm / SD[0]
     seen = observed(problem, rng, 0.3 * shift() + off)
@@ -63,7 +63,7 @@ def gain_of_the_shift(rng, *, off_mm):
 
 
 def test_the_pose_of_the_scan_at_rest_is_common_to_all_scans():
-    """Columns times their transpose: own poses of both scans, and one common to them."""
+    """Columns times their transpose give the poses of both scans, plus a common pose."""
     points, normals = np.eye(3)[[0, 1, 2, 0]] * 30.0, np.eye(3)[[1, 2, 0, 2]]
     columns = pose_columns([points] * 2, [normals] * 2, (0.0, 0.0, 0.0), 0.3, 0.2)
     one = rigid_columns(points, normals, (0.0, 0.0, 0.0)) * np.repeat([0.3, 0.2], 3)
@@ -83,7 +83,7 @@ def test_separates_a_shift_from_small_pose_errors():
 
 
 def test_pose_errors_are_not_reported_as_a_shift():
-    """Bodies without a shift are never blamed for it, whatever the poses."""
+    """No shift is reported for bodies without one, whatever their poses."""
     rng = np.random.default_rng(33)
     problem, noise = nominal_problem(K), known_noise_model(K)
     for off_mm in (0.0, 0.1, 0.3):
@@ -95,14 +95,14 @@ def test_pose_errors_are_not_reported_as_a_shift():
 
 
 def around_nothing(problem):
-    """The unknowns of a fit, as far as `parameter_posterior` uses them."""
+    """Return the parts of a fit's unknowns that `parameter_posterior` uses."""
     sd = problem.nominal_sd
     nothing = np.zeros(len(sd))
     return SimpleNamespace(mean=nothing, sd=sd, lower=nothing - 9.0, upper=nothing + 9.0)
 
 
 def test_shift_size_is_unbiased_for_small_pose_errors():
-    """With poses of 0.3 mm half of the shift would be attributed to them."""
+    """With a pose prior of 0.3 mm alone, half of the shift would be attributed to the poses."""
     rng = np.random.default_rng(34)
     found, spread = [], []
     for _ in range(20):

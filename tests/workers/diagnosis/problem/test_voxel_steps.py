@@ -21,7 +21,7 @@ NOTHING = cast(Any, None)
 
 
 def face(slope: float, at_mm: float) -> tuple[Volume, np.ndarray, np.ndarray]:
-    """A slab below a face through (0, 0, at_mm), points on it and their normals."""
+    """Return a slab below a face through (0, 0, at_mm), points on the face and their normals."""
     n = 50
     centres = (np.arange(n) - n / 2 + 0.5) * VOXEL_MM
     z, _, x = np.meshgrid(centres, centres, centres, indexing="ij")
@@ -36,7 +36,7 @@ def face(slope: float, at_mm: float) -> tuple[Volume, np.ndarray, np.ndarray]:
 
 
 def errors(slope: float, cases: int = 40) -> np.ndarray:
-    """Errors of the points' distances (cases, k) for faces at any place between two layers."""
+    """Return errors in the points' distances (cases, k), for faces anywhere between two layers."""
     found = []
     for at_mm in np.random.default_rng(1).uniform(0, VOXEL_MM, cases):
         labels, points, normals = face(slope, at_mm)
@@ -45,7 +45,7 @@ def errors(slope: float, cases: int = 40) -> np.ndarray:
 
 
 def said(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """The covariance of points of one interface, (k, k)."""
+    """Return the covariance of points on one interface, (k, k)."""
     k = len(points)
     inverse = SimpleNamespace(
         points=outline(points, normals),
@@ -66,7 +66,7 @@ def outline(points: np.ndarray, normals: np.ndarray) -> InterfacePoints:
 
 def test_face_along_the_layers_has_a_common_voxel_error():
     found = errors(0.0)
-    # All points of a face err alike, and uniformly over a voxel.
+    # All points of a face share one error, uniformly distributed over a voxel.
     assert found.std(axis=1).max() < 0.01
     assert found[:, 0].std() == pytest.approx(VOXEL_MM / np.sqrt(12), rel=0.2)
     covariance = said(*face(0.0, 0.3)[1:])
@@ -74,7 +74,7 @@ def test_face_along_the_layers_has_a_common_voxel_error():
 
 
 def test_face_across_the_layers_has_a_smaller_error():
-    """Its mean error is smaller than along the layers, and within the stated one."""
+    """Its mean error is smaller than along the layers, and within the modelled error."""
     slope = 0.02
     of_mean = errors(slope).mean(axis=1).std()
     allowed = np.sqrt(said(*face(slope, 0.3)[1:]).sum()) / len(GRID) ** 2
@@ -84,12 +84,12 @@ def test_face_across_the_layers_has_a_smaller_error():
 
 
 def test_a_steep_face_has_no_columns():
-    """Its mean errs by 0.025 mm, what the nugget of a point allows."""
+    """Its mean is off by 0.025 mm, within the nugget of a point."""
     assert errors(0.3).mean(axis=1).std() < 0.04
     assert np.abs(said(*face(0.3, 0.3)[1:])).max() == 0.0
 
 
-def test_faces_on_either_side_have_independent_errors():
+def test_opposite_faces_have_independent_errors():
     _, points, normals = face(0.0, 0.3)
     k = len(points)
     covariance = said(np.vstack([points, points - 20.0]), np.vstack([normals, -normals]))

@@ -1,4 +1,4 @@
-"""Errors of form: their influence on the evidence of weak and strong effects."""
+"""Form errors: their influence on the evidence for weak and strong effects."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def form():
 
 
 def test_errors_are_as_large_as_the_pattern_around_them(form):
-    """Columns are for an error of size one; their deviation at a point."""
+    """At each point, columns for an error of size one have the deviation of the pattern."""
     pattern = mode(K, (0, 1, 1), 0, 1.0)
     deviation = np.sqrt((form.columns(pattern) ** 2).sum(axis=1))
     assert deviation / form.envelope(pattern) == pytest.approx(np.ones(2 * K), rel=0.02)
@@ -37,8 +37,8 @@ def test_errors_grow_with_the_effect_and_are_smooth(form):
     assert form.columns(pattern).shape[1] < K
 
 
-def test_errors_move_both_sides_of_a_layer_alike():
-    """The error of a displacement is one up on this side and one down on the other."""
+def test_form_error_moves_both_sides_of_a_layer_together():
+    """A displacement that raises the residual on one side lowers it on the other."""
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
     normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     layer = FormError(points, normals, np.zeros(2, np.int32), np.ones((1, 1)), 20.0)
@@ -48,7 +48,7 @@ def test_errors_move_both_sides_of_a_layer_alike():
 
 
 def test_error_length_scales_with_the_organ():
-    """Of one length of the field apart, whatever that is in mm."""
+    """Errors of points one field length apart correlate equally, whatever the length in mm."""
     found = []
     for length_mm in (1.5, 20.0):
         points = np.array([[0.0, 0.0, 0.0], [length_mm, 0.0, 0.0]])
@@ -81,7 +81,7 @@ def test_evidence_of_each_size_matches_scaled_columns(form):
 
 
 def test_a_strong_effect_of_another_form_hardly_needs_a_field(form):
-    """2 mm of an effect that is a quarter larger on one side than in the catalogue."""
+    """An effect of 2 mm is a quarter larger on one side than in the catalogue."""
     points, _, _ = layout(K)
     listed = mode(K, (0, 1, 1), 0, 1.0)
     true = listed * (1 + 0.25 * np.sin(points[:, 0] / 30.0))
@@ -98,7 +98,7 @@ def test_a_strong_effect_of_another_form_hardly_needs_a_field(form):
 
 
 def test_weak_effects_lose_little_evidence(form):
-    """Of 0.1 mm, whose evidence is some 5 to 15 nats."""
+    """Effects of 0.1 mm have evidence of some 5 to 15 nats."""
     listed = mode(K, (0, 1, 1), 0, 1.0)
     problem = observed(nominal_problem(K), np.random.default_rng(72), -0.1 * listed)
     errors = form.columns(0.1 * listed)
@@ -110,8 +110,8 @@ def test_weak_effects_lose_little_evidence(form):
     assert acting > 0.95
 
 
-def test_log_odds_of_acting_fall_evenly_with_the_logarithm_of_the_error():
-    """Two bells of one width s about a and b: by ln(b / a) / s^2 for each unit of ln size."""
+def test_log_odds_of_acting_fall_linearly_with_the_log_of_the_error():
+    """For two Gaussians of width s about a and b, the slope is ln(b / a) / s^2 in ln size."""
     form, odds = SETTINGS.form, []
     for size in SIZES:
         _, acting = acting_or_alike([0.0 if one == size else -1e3 for one in SIZES])

@@ -1,4 +1,4 @@
-"""Held constants are uncertain in every hypothesis, by the amount their effect states."""
+"""Held constants are uncertain in every hypothesis, by the amount given in their effect."""
 
 import numpy as np
 import pytest
@@ -21,13 +21,13 @@ def analysis():
     return analysed(inverse, nominal, [COMPRESSIBILITY, effect("plate_tilt")])
 
 
-def test_columns_are_the_effect_times_its_held_sd(analysis):
+def test_held_columns_are_the_effect_times_its_held_sd(analysis):
     m = len(analysis.inverse.bias)
     found = held_columns(analysis.sensitivities, m)
     assert found.shape == (m, 1)
     of_nu = analysis.sensitivity_by_name["compressibility"].places[0][:, 0]
     np.testing.assert_allclose(found[:, 0], of_nu * COMPRESSIBILITY.held_sd[0])
-    # 1 - 2 nu of a stated 0.49 that is off by 0.002 either way, evenly.
+    # 1 - 2 nu for a given nu of 0.49, off by up to 0.002 in either direction, uniformly.
     off = np.log((1 - 2 * (0.49 + np.linspace(-0.002, 0.002, 2001))) / 0.02)
     assert off.std() == pytest.approx(COMPRESSIBILITY.held_sd[0], rel=0.02)
 

@@ -13,7 +13,7 @@ NOISE = SETTINGS.noise
 
 
 def skin():
-    """Millimetres of residuals for 1 N/mm, as steep at a small magnitude as at a large one."""
+    """Return the residuals in mm for 1 N/mm, equally steep at small and large magnitudes."""
     return effect("skin_added", -12.0 * mode(K, (2, 0, 0), 0, 1.0), sd=1.0, one_sided=True)
 
 
@@ -28,7 +28,7 @@ def hypothesis(residual, *more):
 
 
 def gain(n_per_mm, drawn_sd_mm):
-    """Log evidence of a skin, for the residuals of a skin of this size."""
+    """Return the log evidence for a skin, given the residuals of a skin of this size."""
     column = skin().places[0][:, 0]
     rough = RoughSurface.like(skin(), drawn_sd_mm)
     noise, residual = known_noise_model(K), -n_per_mm * column
@@ -41,7 +41,7 @@ def test_separates_a_rough_mesh_from_a_skin() -> None:
     assert gain(like_skin, NOISE.rough_at_mm) < 0
     assert gain(3 * like_skin, NOISE.rough_at_mm) < 3.0
     assert gain(10 * like_skin, NOISE.rough_at_mm) > 20.0
-    # On scans that were drawn twice as exactly the same is a skin indeed.
+    # On scans drawn twice as accurately, the same residuals do indicate a skin.
     assert gain(3 * like_skin, 0.5 * NOISE.rough_at_mm) > 3.0
 
 

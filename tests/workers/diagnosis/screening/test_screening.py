@@ -1,4 +1,4 @@
-"""Screening against ridge regression, densities and integrals."""
+"""Screening, compared with ridge regression, densities and integrals."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def one(problem, sensitivity):
 
 @pytest.mark.parametrize("index", [0, 1, 3, 4])
 def test_estimate_equals_ridge_regression(problem, index):
-    """All parameters together, by generalised least squares with the priors as ridge."""
+    """All parameters are fitted by generalised least squares, with the priors as ridge."""
     sensitivity = catalogue()[index]
     J = np.hstack([problem.nominal, sensitivity.columns])
     sd = np.append(problem.nominal_sd, sensitivity.prior_sd)
@@ -71,7 +71,7 @@ def test_bayes_factor_does_not_depend_on_the_expansion(problem):
 
 
 @pytest.mark.parametrize("strength", [-0.5, 0.0, 0.5])
-def test_one_sided_bayes_factor_against_an_integral(strength):
+def test_one_sided_bayes_factor_matches_an_integral(strength):
     sensitivity = catalogue()[2]
     column = sensitivity.columns[:, 0]
     problem = observed(nominal_problem(), np.random.default_rng(12), -strength * column)
@@ -85,7 +85,7 @@ def test_one_sided_bayes_factor_against_an_integral(strength):
     assert one(problem, sensitivity).log_bayes_factor == pytest.approx(direct, abs=1e-5)
 
 
-def test_places_are_averaged(problem):
+def test_bayes_factor_is_averaged_over_places(problem):
     sensitivity = catalogue()[5]
     each = [
         dense_log_density(problem, columns, sensitivity.prior_sd) - dense_log_density(problem)
@@ -105,7 +105,7 @@ def test_the_acting_effect_comes_first(problem):
 
 
 def test_a_combination_of_nominal_columns_is_absorbed():
-    """With wide priors all of it; a field that the columns cannot make, not at all."""
+    """With wide priors it is fully absorbed; a field outside the columns' span is not."""
     problem = replace(nominal_problem(), nominal_sd=np.full(3, 1e4))
     within = problem.nominal @ np.array([[1.0], [-0.3], [0.2]])
     assert absorbed_share(problem, effect("within", within).whitened(problem)[0]) > 1 - 1e-6
@@ -119,7 +119,7 @@ def test_a_combination_of_nominal_columns_is_absorbed():
 
 
 def test_minimum_detectable_magnitude_is_found_in_four_of_five_cases():
-    """A two-sided z test at 1 % on the generalised least squares estimate."""
+    """The test is a two-sided z test at 1 % on the generalised least squares estimate."""
     problem = replace(nominal_problem(), nominal_sd=np.full(3, 1e4))
     sensitivity = catalogue()[1]
     magnitude = minimum_detectable(problem, sensitivity)[0]
@@ -144,7 +144,7 @@ def test_confusion_is_the_smallest_principal_angle():
             assert cosines[i, j] == pytest.approx(expected, abs=1e-9)
 
 
-def test_places_confuse_by_the_worst_one():
+def test_confusion_is_the_largest_over_places():
     problem = nominal_problem()
     bump = catalogue()[5]
     twin = effect("twin", bump.columns[2])
@@ -157,7 +157,7 @@ def test_invisible_effects_have_no_confusion():
     assert confusion(problem, [hidden, catalogue()[1]])[0, 1] == 0.0
 
 
-def test_other_points_are_refused(problem):
+def test_refuses_sensitivities_at_other_points(problem):
     with pytest.raises(InputError, match=r"tilt has columns for 40 residuals.*has 120"):
         screen(problem, [effect("tilt", mode(20, (0, 1, 1), 0, 1.0))])
     with pytest.raises(InputError, match="prior_sd > 0"):
@@ -165,7 +165,7 @@ def test_other_points_are_refused(problem):
 
 
 def test_strong_effects_are_visible_despite_absorption():
-    """A thirtieth of its square is left: too weak at 0.1 mm, plain at 100 mm; never a hundredth."""
+    """A thirtieth of the square is hidden at 0.1 mm but not at 100 mm; a hundredth always is."""
     problem = nominal_problem()
     within = problem.nominal[:, 0] / np.linalg.norm(problem.nominal[:, 0])
     left = problem.covariance_factor @ problem.project(problem.whiten(mode(60, (0, 1, 1), 0, 1.0)))

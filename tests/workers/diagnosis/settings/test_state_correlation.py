@@ -1,4 +1,4 @@
-"""Correlation of two states by the directions of their loads."""
+"""Correlation of two states, given the directions of their loads."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def test_correlation_is_larger_along_one_direction():
     assert found == pytest.approx(np.array(expected))
 
 
-def test_any_directions_give_a_covariance():
+def test_correlations_of_any_directions_are_positive_semi_definite():
     rng = np.random.default_rng(1)
     for along, across in ((1.0, 0.0), (0.94, 0.0), (0.8, 0.3), (0.5, 0.5)):
         drawn = rng.standard_normal((12, 3))
@@ -34,8 +34,8 @@ def test_rejects_invalid_correlations(along, across):
         StateCorrelation(along, across)
 
 
-def test_columns_of_several_scans_have_the_correlation():
-    """Numerical errors along one direction and across are only weakly correlated."""
+def test_columns_of_several_scans_have_the_state_correlation():
+    """Numerical errors under loads in perpendicular directions are only weakly correlated."""
     points, normals = ellipsoid(60)
     between = SETTINGS.numerical.state_correlation.between(np.array([X, X, Y]))
     states = np.repeat(np.arange(3), 60)

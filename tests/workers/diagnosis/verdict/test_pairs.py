@@ -1,4 +1,4 @@
-"""Starting points of joint fits: places, and residuals of another effect."""
+"""Starting points of joint fits: places, and the residuals of another effect."""
 
 import numpy as np
 import pytest
@@ -21,15 +21,15 @@ def test_starting_places_are_not_neighbours():
     grid = SETTINGS.sensitivities.inside_grid_mm
     places = np.outer([0.0, 1.0, 3.0, 9.0, 5.0], [grid, 0.0, 0.0])
     assert starting_places(LUMP, places, np.array([5.0, 4.9, 4.5, 4.8, 4.0])) == [0, 3]
-    # Of places far behind none is tried, and of equal ones the first.
+    # No place far behind is tried, and the first of equal places.
     assert starting_places(LUMP, places, np.array([5.0, 4.9, 1.9, 1.5, 0.0])) == [0]
     assert starting_places(LUMP, places, np.zeros(5)) == [0, 2]
-    # The boundary has a wider grid, on which these are neighbours.
+    # The boundary has a wider grid, on which these places are neighbours.
     assert starting_places(ATTACHED, places[:2], np.array([5.0, 4.9])) == [0]
 
 
 class Both:
-    """A tilted plate, and springs at one place of the skin."""
+    """A tilted plate, and springs at one place on the skin."""
 
     @staticmethod
     def apply(problem, values, frame):
@@ -40,7 +40,7 @@ class Both:
 
 @pytest.mark.slow
 def test_second_effect_is_screened_in_the_remaining_residual():
-    """The tilt is stronger: the place is unknown until it is subtracted."""
+    """The tilt is stronger, so the place is unknown until the tilt is subtracted."""
     true = {"tilt_depth": 6.0, "tilt_across": 0.0}
     true |= {"attachment_stiffness_x": 5e-4, "attachment_x": 26.0}
     true |= {"attachment_y": 3.0, "attachment_z": -2.0}
@@ -64,8 +64,8 @@ def test_second_effect_is_screened_in_the_remaining_residual():
 
 
 def test_quadratic_effects_start_away_from_zero(monkeypatch):
-    """Little moves with an edge near the wall, and fits of noisy scans stay there: of edges at 3.8
-    mm they had 0.9 mm, and 14 to 18 nats less than from further out."""
+    """An edge near the wall moves little, so fits to noisy scans stay there: for edges at 3.8 mm,
+    they ended at 0.9 mm, with 14 to 18 nats less than from a start further out."""
     inverse = problem_between_plates(EDGE, {"plate_edge": 2.0})
     free = unknowns(FREE, [])
     nominal = fit(inverse, free, free.mean, [None] * len(inverse.scans))
@@ -87,7 +87,7 @@ def test_quadratic_effects_start_away_from_zero(monkeypatch):
 
 
 def test_unsolvable_starts_move_towards_neutral(monkeypatch):
-    """As for a wall that yields too much and folds: both fits end at the same optimum."""
+    """As for a wall that is too compliant and folds, both fits end at the same optimum."""
     inverse = problem_between_plates(TILT, {"tilt_depth": 4.0, "tilt_across": 0.0})
     free = unknowns(FREE, [])
     nominal = fit(inverse, free, free.mean, [None] * len(inverse.scans))
@@ -112,7 +112,7 @@ def test_unsolvable_starts_move_towards_neutral(monkeypatch):
 
 @pytest.mark.slow
 def test_only_the_best_of_several_starts_continues(monkeypatch):
-    """A start at the place and one across the body; both are tried for three iterations."""
+    """One start is at the place, the other across the body; both are tried for three iterations."""
     true = {"attachment_stiffness_x": 5e-4, "attachment_x": 26.0}
     true |= {"attachment_y": 3.0, "attachment_z": -2.0}
     inverse = problem_between_plates(ATTACHED, true)

@@ -25,7 +25,7 @@ def screened(name: str, nats: float, estimate: float = 1.0) -> ScreeningResult:
 
 
 def sensitivity(name: str, large: float, small: float) -> EffectSensitivity:
-    """An effect with given responses per unit at a large and at a small magnitude."""
+    """Return an effect with given responses per unit at a large and at a small magnitude."""
     columns = np.stack([large * PATTERN, small * PATTERN])[:, :, None]
     return EffectSensitivity(
         name, "plate geometry", columns, np.array([EDGE_SD_MM]), np.ones(1, np.bool_)
@@ -60,12 +60,14 @@ def test_a_quadratic_edge_is_fitted_with_stronger_effects(loudest: float, nats: 
 @pytest.mark.parametrize(
     ("loudest", "nats", "large"),
     [
-        (9.5, 8.0, 2.0),  # the nominal model is near enough for a linear one
-        (119.0, 0.5, 2.0),  # no support for it
+        (9.5, 8.0, 2.0),  # the nominal model is near enough for a linear model
+        (119.0, 0.5, 2.0),  # no support for the edge
         (119.0, 8.0, 0.9),  # it tires
     ],
 )
-def test_otherwise_the_five_strongest_are_fitted(loudest: float, nats: float, large: float) -> None:
+def test_only_the_five_strongest_effects_are_fitted_otherwise(
+    loudest: float, nats: float, large: float
+) -> None:
     loud = ["plate_flex", "plate_tilt", "skin_added", "creep", "wall_hold", "growth"]
     louder = {name: loudest - n for n, name in enumerate(loud)}
     edge = screened("plate_edge", nats, 9.0)
@@ -118,7 +120,7 @@ def test_every_visible_effect_is_fitted_before_none_of_these(monkeypatch) -> Non
 
 
 def test_three_effects_extend_the_best_two(monkeypatch) -> None:
-    """Not the best three, which have as many effects as a hypothesis may."""
+    """The best three are not extended, because a hypothesis has at most three effects."""
 
     def joint_fit(names: str, log_evidence: float) -> Any:
         found = fitted("plate_tilt", log_evidence)
@@ -144,7 +146,7 @@ def test_three_effects_extend_the_best_two(monkeypatch) -> None:
 
 
 def test_supported_hidden_effects_are_fitted():
-    """Alone, and with the likeliest visible effect; creep is too improbable."""
+    """They are fitted alone and with the likeliest visible effect; creep is too improbable."""
     reached: Any = SimpleNamespace(
         primary=("growth",),
         hidden=("plate_force", "creep"),
@@ -159,7 +161,7 @@ def test_supported_hidden_effects_are_fitted():
 
 
 class Left:
-    """Residuals of a joint fit, passed to `screen` with parameters at bounds held."""
+    """Residuals of a joint fit, passed to `screen` with the parameters at bounds held."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self.names = names
@@ -179,13 +181,13 @@ def fitted(name: str, log_evidence: float) -> Any:
 @pytest.mark.parametrize(
     ("left", "unexplained", "expected"),
     [
-        # The best single effect leaves a promise that no other one reaches.
+        # The remainder of the best single effect supports a pair better than any other could be.
         (
             {"plate_tilt": {"growth": 40.0}, "skin_added": {"growth": 45.0}},
             False,
             [("plate_tilt", "growth")],
         ),
-        # Another one leaves more: its pairs come first, each once. 9 nats are too few.
+        # Another effect leaves more, so its pairs come first, each once. 9 nats are too few.
         (
             {
                 "plate_tilt": {"growth": 20.0, "skin_added": 14.0, "creep": 9.0},
@@ -198,14 +200,14 @@ def fitted(name: str, log_evidence: float) -> Any:
                 ("plate_tilt", "growth"),
             ],
         ),
-        # The best one leaves nothing: no pair, though others leave much.
+        # The best effect leaves nothing, so there is no pair, although others leave much.
         ({"plate_tilt": {}, "skin_added": {"growth": 60.0}}, False, []),
-        # But for what a smooth field explains.
+        # The exception is when a smooth field explains the residuals.
         ({"plate_tilt": {}, "skin_added": {}}, True, [("plate_tilt", "skin_added")]),
     ],
 )
 def test_fits_the_most_promising_pairs(monkeypatch, left, unexplained, expected) -> None:
-    """Of effects 10 nats apart that were fitted alone, and what each leaves to others."""
+    """Two effects, 10 nats apart, were fitted alone; `left` is the gain each leaves to others."""
 
     def screen(names: tuple[str, ...], sensitivities: Any) -> list[ScreeningResult]:
         found = [screened(name, nats) for name, nats in left[names[0]].items()]

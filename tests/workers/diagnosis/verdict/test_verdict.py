@@ -1,4 +1,4 @@
-"""The rules on evidence made by hand, and the whole chain on cases with a known cause."""
+"""The rules on hand-made evidence, and the whole chain on cases with a known cause."""
 
 from dataclasses import astuple
 
@@ -35,7 +35,7 @@ def weigh(*hypotheses, **options):
 
 
 def test_probabilities_match_hand_calculation():
-    """Four listed effects; only one of them tried, and no field with it.
+    """There are four listed effects; only one was tried, without a field.
 
     ::
 
@@ -50,14 +50,14 @@ def test_probabilities_match_hand_calculation():
     assert list(found.values()) == pytest.approx(weights / weights.sum())
 
 
-def test_pairs_share_their_odds():
+def test_pairs_share_their_prior_odds():
     tried = [Hypothesis((), 0.0), Hypothesis(("a", "b"), 0.0, 0.0)]
     found = probabilities(tried, 4, PriorOdds(OddsSettings(0.5, 0.1, 0.1, 0.1, 0.12, 0.06)))
     assert found[("a", "b"), False] / found[(), False] == pytest.approx(0.02 / 0.5)
     assert found[("a", "b"), True] / found[(), False] == pytest.approx(0.01 / 0.5)
 
 
-def test_triples_share_their_odds():
+def test_triples_share_their_prior_odds():
     tried = [Hypothesis((), 0.0), Hypothesis(("a", "b", "c"), 0.0, 0.0)]
     odds = OddsSettings(triple=0.04, triple_and_field=0.02)
     found = probabilities(tried, 4, PriorOdds(odds))
@@ -66,7 +66,7 @@ def test_triples_share_their_odds():
 
 
 def test_verdict_is_the_most_probable_cause():
-    """Around the evidence at which an effect is as probable as no gap."""
+    """The verdict changes at the evidence at which an effect is as probable as no gap."""
     even = np.log(SETTINGS.prior_odds.nothing / (SETTINGS.prior_odds.single / 4))
     quiet = weigh(Hypothesis(("a",), -100.0 + even - 0.5))
     assert quiet.kind == "no-gap"
@@ -81,7 +81,7 @@ def test_verdict_is_the_most_probable_cause():
     assert loud.threshold < loud.alarm
 
 
-def test_an_effect():
+def test_a_supported_effect_is_named():
     found = weigh(Hypothesis(("a",), -80.0, -1.0), Hypothesis(("c",), -90.0, 1.0))
     assert found.kind == "effect"
     assert found.primary == found.set90 == ("a",)
@@ -90,7 +90,7 @@ def test_an_effect():
     assert found.probabilities["a"] > 0.95
 
 
-def test_two_effects_that_cannot_be_told_apart():
+def test_two_equally_probable_effects_cannot_be_told_apart():
     found = weigh(Hypothesis(("a",), -80.0), Hypothesis(("c",), -80.3))
     assert found.kind == "cannot-be-told-apart"
     assert found.set90 == ("a", "c")
@@ -98,7 +98,7 @@ def test_two_effects_that_cannot_be_told_apart():
     assert found.probabilities["a"] == pytest.approx(1 / (1 + np.exp(-0.3)), abs=1e-3)
 
 
-def test_relatives_that_cannot_be_told_apart_share_a_family():
+def test_indistinguishable_effects_of_a_family_share_it():
     found = weigh(Hypothesis(("a",), -80.0), Hypothesis(("b",), -80.3))
     assert found.kind == "cannot-be-told-apart"
     assert found.family == "boundary"
@@ -113,8 +113,8 @@ def test_a_field_alone_is_none_of_these():
     assert found.primary == ()
 
 
-def test_an_imitation_is_none_of_these():
-    """With a form error that no real effect has, the same pattern gains 5 nats."""
+def test_an_imitated_effect_is_none_of_these():
+    """The same pattern has a form error too large for a real effect."""
     likeness = Hypothesis(("a",), 0.0, acting=0.1)
     found = weigh(likeness)
     assert found.probabilities["a"] == pytest.approx(0.1, abs=1e-6)
@@ -123,7 +123,7 @@ def test_an_imitation_is_none_of_these():
 
 
 def test_an_effect_with_an_unlisted_cause_is_uncertain():
-    """The larger the field's share of the evidence, the more probable is an imitation."""
+    """The larger the field's share of the evidence, the more probable an imitation is."""
     shares = [0.01, 0.2, 0.8]
     tried = [Hypothesis(("a",), 500.0 * (1 - one), 500.0 * one) for one in shares]
     found = [verdict([Hypothesis((), 0.0, 100.0), one], FAMILIES) for one in tried]
@@ -132,14 +132,14 @@ def test_an_effect_with_an_unlisted_cause_is_uncertain():
         ("a", "none-of-these"),
         ("none-of-these",),
     ]
-    # Exponential of mean 0.1 against anything from 0 to 1, at even odds.
+    # An exponential distribution with mean 0.1 against a uniform one from 0 to 1, at even odds.
     assert found[1].probabilities["a"] == pytest.approx(0.575, abs=0.001)
     assert found[1].none_of_these == pytest.approx(0.425, abs=0.001)
     assert found[1].explained_share == pytest.approx(0.8)
 
 
 def test_a_field_that_corrects_the_form_is_no_evidence_against_an_effect():
-    """Without a field its form suggests an imitation; with one it need not."""
+    """Without a field, its form suggests an imitation; with a field, it need not."""
     mended = Hypothesis(("a",), 490.0, 10.0, acting=0.1, acting_beside=0.95)
     same = Hypothesis(("a",), 490.0, 10.0, acting=0.1, acting_beside=0.1)
     nothing = Hypothesis((), 0.0, 100.0)
@@ -171,12 +171,12 @@ def test_three_effects_are_named():
 
 
 def test_hidden_effects_are_neither_named_nor_ruled_out():
-    """It keeps its evidence in the sum and counts towards no gap."""
+    """A hidden effect keeps its evidence in the sum and counts towards no gap."""
     louder = weigh(Hypothesis(("a",), -80.0), Hypothesis(("d",), -60.0), hiding={"d"})
     assert (louder.kind, louder.primary, louder.hidden) == ("no-gap", (), ("d",))
     softer = weigh(Hypothesis(("a",), -60.0), Hypothesis(("d",), -80.0), hiding={"d"})
     assert (softer.kind, softer.primary) == ("effect", ("a",))
-    # Constants that take it up fit as well without it, whatever a fit with it has lost.
+    # Constants that absorb the effect fit as well without it, however poor a fit with it is.
     quiet = weigh(Hypothesis(("d",), -140.0), hiding={"d"})
     assert quiet.kind == "no-gap"
     odds = SETTINGS.prior_odds
@@ -186,7 +186,7 @@ def test_hidden_effects_are_neither_named_nor_ruled_out():
 
 
 def test_a_visible_effect_is_named_with_a_hidden_one():
-    """What hides explains more than the effect does, and both together more than either."""
+    """The hidden effect explains more than the visible one, and both together explain the most."""
     alone = Hypothesis(("a",), -94.0), Hypothesis(("d",), -89.0)
     assert weigh(*alone, hiding={"d"}).kind == "no-gap"
     found = weigh(*alone, Hypothesis(("a", "d"), -80.0), hiding={"d"})
@@ -195,7 +195,7 @@ def test_a_visible_effect_is_named_with_a_hidden_one():
 
 
 def test_rejects_invalid_input():
-    with pytest.raises(InputError, match=r"no family of \['e'\]"):
+    with pytest.raises(InputError, match=r"no family for \['e'\]"):
         weigh(Hypothesis(("e",), -80.0))
     with pytest.raises(InputError, match="1 repeated"):
         weigh(Hypothesis(("a", "b"), -80.0), Hypothesis(("b", "a"), -80.0))
@@ -244,7 +244,7 @@ def test_each_strong_effect_is_named(index):
     assert found.primary == (sensitivity.name,)
 
 
-def test_a_pair_is_found():
+def test_a_pair_of_acting_effects_is_found():
     tilt, stiffening = catalogue()[1], catalogue()[4]
     signal = -0.6 * tilt.columns[:, 0] - 0.7 * stiffening.columns[:, 0]
     found = diagnose(observed(nominal_problem(), np.random.default_rng(53), signal), catalogue())
@@ -264,7 +264,7 @@ def test_twin_effects_cannot_be_told_apart():
     assert found.family == "plate geometry"
 
 
-def test_a_smooth_field_of_no_known_cause_is_none_of_these():
+def test_a_smooth_field_without_a_listed_cause_is_none_of_these():
     rng = np.random.default_rng(55)
     kinds = []
     while len(kinds) < 12:
@@ -274,7 +274,7 @@ def test_a_smooth_field_of_no_known_cause_is_none_of_these():
     assert kinds.count("none-of-these") >= 11
 
 
-def test_a_force_that_scales_like_a_nominal_parameter_hides():
+def test_a_force_that_scales_like_a_nominal_parameter_is_hidden():
     force = effect("force", nominal_problem().nominal[:, 1] * 0.8, 0.5)
     problem = observed(
         nominal_problem(), np.random.default_rng(56), signal_of(force, np.random.default_rng(1))
@@ -286,11 +286,11 @@ def test_a_force_that_scales_like_a_nominal_parameter_hides():
 
 @pytest.fixture(scope="module")
 def drawn_cases():
-    """Cases drawn from the prior odds: the effects that act, and the verdict."""
+    """Return cases drawn from the prior odds: the effects that act, and the verdict."""
     rng = np.random.default_rng(57)
     sensitivities = catalogue()[:5]
     labels = ["nothing", "field", "single", "single field", "pair", "pair field"]
-    odds = PriorOdds(OddsSettings(beside_unlisted=1.0))  # here effects are never imitated
+    odds = PriorOdds(OddsSettings(beside_unlisted=1.0))  # effects are never imitated here
     each = np.array(astuple(odds.kinds)[:6])
     cases = []
     for kind in rng.choice(labels, size=300, p=each / each.sum()):
@@ -307,7 +307,7 @@ def drawn_cases():
 
 
 def test_probabilities_are_reliable(drawn_cases):
-    """In each bin, the share of effects that act is the mean probability, to 3 binomial errors."""
+    """In each bin, the share of acting effects is the mean probability, to 3 binomial errors."""
     claims = np.array([p for _, _, v in drawn_cases for p in v.probabilities.values()])
     acts = np.array([n in who for _, who, v in drawn_cases for n in v.probabilities])
     for low, high in ((0.0, 0.05), (0.05, 0.2), (0.2, 0.6), (0.6, 0.95), (0.95, 1.01)):
@@ -325,8 +325,8 @@ def test_the_probability_of_no_gap_is_reliable(drawn_cases):
     assert abs(empty.sum() - claims.sum()) < 3 * error
 
 
-def test_the_set_of_90_per_cent_covers(drawn_cases):
-    """A pair is covered if one of its members is; sets overshoot 90 % rather than miss it."""
+def test_the_90_per_cent_set_covers_the_acting_effects(drawn_cases):
+    """A pair is covered if one of its members is; coverage exceeds 90 % rather than missing it."""
     held = []
     for kind, who, found in drawn_cases:
         truth = set(who) or {"none-of-these" if kind == "field" else "no-gap"}
@@ -336,7 +336,7 @@ def test_the_set_of_90_per_cent_covers(drawn_cases):
 
 
 def test_a_rarer_effect_needs_more_evidence():
-    """The additional evidence is the negative logarithm of its prior odds."""
+    """The additional evidence needed is minus the logarithm of its prior factor."""
     rare = PriorOdds(of_effect={"a": 0.2})
     told = [Hypothesis((), 0.0), Hypothesis(("a",), 1.0), Hypothesis(("b",), 1.0 + np.log(0.2))]
     found = probabilities(told, 5, rare)
@@ -346,6 +346,6 @@ def test_a_rarer_effect_needs_more_evidence():
     assert found[("a", "b"), False] == pytest.approx(0.2 * found[("b", "c"), False])
 
 
-def test_odds_are_positive():
+def test_prior_odds_must_be_positive():
     with pytest.raises(InputError, match="odds must be > 0"):
         PriorOdds(of_effect={"a": 0.0})

@@ -35,7 +35,7 @@ NESTED_JSON = '{"loads": [{"force_n": 18, "file": "a", "force_n": 36}]}'
     ],
 )
 def test_yaml_refuses_a_repeated_key(text):
-    with pytest.raises(InputError, match=r"file: the key '(force_n|a|1)' is repeated in lines"):
+    with pytest.raises(InputError, match=r"file: the key '(force_n|a|1)' is repeated on lines"):
         parse_yaml(text, "file")
 
 
@@ -46,7 +46,7 @@ def test_json_refuses_a_repeated_key(text):
 
 
 def test_names_the_lines_of_a_repeated_key():
-    with pytest.raises(InputError, match=r"'force_n' is repeated in lines 2 and 4\. Keep one"):
+    with pytest.raises(InputError, match=r"'force_n' is repeated on lines 2 and 4\. Keep one"):
         parse_yaml(NESTED_YAML, "file.yaml")
 
 
@@ -59,7 +59,7 @@ def test_accepts_merge_keys_and_equal_keys_of_different_objects():
 def test_experiment_refuses_a_repeated_key(tmp_path):
     path = write(tmp_path, described())
     path.write_text(path.read_text() + "down: [0, 0, -1]\n")
-    with pytest.raises(InputError, match=r"experiment\.yaml: the key 'down' is repeated in lines"):
+    with pytest.raises(InputError, match=r"experiment\.yaml: the key 'down' is repeated on lines"):
         read_spec(path)
     with pytest.raises(InputError, match="'down' is repeated"):
         open_source(path)
@@ -77,7 +77,7 @@ def test_case_refuses_a_repeated_key(tmp_path, name):
 def test_study_and_upload_refuse_a_repeated_key(tmp_path):
     text = "name: a\nsearch: {seed: 1, seed: 2}\n"
     for read in (lambda: parse_spec(text, "The study", tmp_path), lambda: parsed_text(text, "It")):
-        with pytest.raises(InputError, match="the key 'seed' is repeated in lines 2 and 2"):
+        with pytest.raises(InputError, match="the key 'seed' is repeated on lines 2 and 2"):
             read()
 
 

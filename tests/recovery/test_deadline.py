@@ -38,7 +38,7 @@ def test_hanging_evaluation_is_retried_then_fails(client: Any, tmp_path: Path) -
     (hung,) = [c for c in endings if endings[c] != expected[c]]
     *_, status, score, reason = endings[hung]
     assert (status, score) == ("diverged", None)
-    assert reason == "no result within 4 s, tried 2 times"
+    assert reason == "no result within 4 s in any of 2 attempts"
     store = open_store(tmp_path / "runs" / "store")
     assert not list((store.root / "overruns").iterdir())
 

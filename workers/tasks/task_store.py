@@ -110,7 +110,7 @@ class TaskStore:
         except ValueError as error:
             raise StoreError(
                 f"{self.path(name)} has unexpected content: {error}. Remove that folder and run "
-                "the command again to recreate it."
+                "the same command again to recreate it."
             ) from error
 
 

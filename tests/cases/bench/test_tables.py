@@ -77,7 +77,7 @@ def test_ordinary_motion_is_not_missing():
 def test_rejects_a_marker_that_is_never_seen(tmp_path):
     with pytest.raises(InputError, match=r"b\.csv: the marker M3 was not seen between 2 and 3 s"):
         observed(tmp_path, b=text_of(lost(slice(7, 13), 0.0)))
-    with pytest.raises(InputError, match="was not seen in more than 1 of 5 frames"):
+    with pytest.raises(InputError, match="was seen in only 1 of 5 frames"):
         observed(tmp_path, b=text_of(lost(slice(9, 13), -1.0)))
 
 
@@ -128,9 +128,9 @@ def test_reads_separators_of_thousands(tmp_path):
             "a;b\n1,234;2\n",
             "line 2: '1,234' in column a may be a decimal comma or",
         ),
-        ("a;b\n1.5;2,5\n", r"mixes decimal points and commas: '1\.5' in line 2, '2,5' in line 2"),
+        ("a;b\n1.5;2,5\n", r"mixes decimal points and commas: '1\.5' on line 2, '2,5' on line 2"),
         ("a,b,a\n1,2,3\n", "has the column a 2 times"),
-        ("a,b\n1,2\n3,x\n", r"line 3: 'x' in column b is not a number\. Expected numbers"),
+        ("a,b\n1,2\n3,x\n", r"line 3: 'x' in column b is not a number\. Expected a number"),
         ("a,b\n1,2 mm\n", "line 2: '2 mm' in column b is not a number"),
         ("a,b\n", "no rows"),
         ("", "no rows"),
@@ -151,8 +151,8 @@ def test_rejects_ambiguous_tables(tmp_path, text, words):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda t: t[::-1], r"line 3: the time 2\.75 s follows 3 s in line 2\. Times must ascend"),
-        (lambda t: np.vstack([t, t[:1]]), r"line 15: the time 0 s follows 3 s in line 14"),
+        (lambda t: t[::-1], r"line 3: the time 2\.75 s follows 3 s on line 2\. Times must incr"),
+        (lambda t: np.vstack([t, t[:1]]), r"line 15: the time 0 s follows 3 s on line 14"),
         (lambda t: np.vstack([t, t[-1:]]), r"line 15: the time 3 s follows 3 s"),
         (lambda t: t * np.where(np.arange(13) == 4, np.nan, 1)[:, None] ** [[1] + [0] * 12],
          "line 6: the row has no time"),

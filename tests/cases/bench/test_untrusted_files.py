@@ -51,7 +51,7 @@ def test_rejects_recordings_outside_of_an_upload(tmp_path: Path, name: str) -> N
     data["states"][0]["files"] = [name.format(tmp_path)]
     path.write_text(yaml.safe_dump(data))
     assert open_source(path).name == "block"
-    with confined_to(folder), pytest.raises(InputError, match="outside of the uploaded folder"):
+    with confined_to(folder), pytest.raises(InputError, match="outside the uploaded folder"):
         open_source(path)
 
 

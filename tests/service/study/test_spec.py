@@ -69,7 +69,7 @@ def test_an_exponent_without_a_point_is_a_number() -> None:
         ("search: {", "search: {population: many, ", "search.population"),
         ("name: demo", "name: ../demo", "name"),
         ("name: demo", "name: demo\nseed: -1", "seed"),
-        ("name: demo", "name: demo\nname: twice", "is repeated in lines 2 and 3"),
+        ("name: demo", "name: demo\nname: twice", "is repeated on lines 2 and 3"),
         ("eta_fat_kpa: [50, 200]", "E_skin_kpa: [200, 900]", "case.model.skin is none"),
         ("{E_fat_kpa: 10}", "{E_fat_kpa: -10}", "target.constants"),
         ("mesh: {nodes: 2000}", "constants: {E_fat_kpa: 9}", "searched .* and held"),

@@ -95,5 +95,5 @@ def test_gsf_falls_steeply_near_identity(rows: dict[float, CylinderRow]) -> None
 def test_rejects_angles_without_a_closed_form() -> None:
     with pytest.raises(InputError, match="up to their ends"):
         crossed_overlap(5.0)
-    with pytest.raises(InputError, match="size > 0"):
+    with pytest.raises(InputError, match="size must be > 0"):
         cylinder(10.0, 0.0)

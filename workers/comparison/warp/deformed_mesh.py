@@ -73,8 +73,8 @@ def place_on_lattice(mesh: TetMesh, displacement_mm: FloatArray, lattice: Volume
     displacement = np.asarray(displacement_mm, dtype=np.float64)
     if displacement.shape != mesh.nodes.shape:
         raise InputError(
-            f"The displacement has shape {displacement.shape}, but the nodes of the mesh have "
-            f"shape {mesh.nodes.shape}. Use a displacement of this mesh."
+            f"The displacement has shape {displacement.shape}, but the mesh has nodes of shape "
+            f"{mesh.nodes.shape}. Use a displacement of this mesh."
         )
     if not np.isfinite(displacement).all():
         raise InputError(

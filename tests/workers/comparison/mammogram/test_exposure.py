@@ -163,7 +163,7 @@ def test_refuses_invalid_input() -> None:
         spectrum_of("w_ag")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="5 to 40 keV"):
         attenuation_per_mm(Tissue.FAT, np.array([80.0]))
-    with pytest.raises(InputError, match="seed >= 0"):
+    with pytest.raises(InputError, match="must be >= 0, got seed"):
         Noise(seed=-1)
     with pytest.raises(InputError, match="one photon count for each energy"):
         Spectrum(np.array([20.0]), np.array([1.0, 2.0]))

@@ -130,7 +130,7 @@ def test_oblique_view_equals_upright_view_of_a_rotated_body() -> None:
 
 def test_refuses_invalid_input() -> None:
     body = Volume(np.ones((4, 4, 4), np.uint8), (1.0, 1.0, 1.0))
-    with pytest.raises(InputError, match="all air"):
+    with pytest.raises(InputError, match="only air"):
         geometry_of(Volume(np.zeros((4, 4, 4), np.uint8), (1.0, 1.0, 1.0)))
     with pytest.raises(InputError, match="perpendicular to z"):
         geometry_of(body, (0.0, 1.0, 1.0))

@@ -58,7 +58,7 @@ def test_normal_is_the_derivative_of_the_residual(points, shifted):
 
 
 def test_refuses_mismatched_points_and_interfaces(points, shifted):
-    with pytest.raises(InputError, match="Expected positions"):
+    with pytest.raises(InputError, match="Expected the positions"):
         residual(points.points[:-1], points, shifted)
     alone = replace(shifted, distances=shifted.distances[:1])
     with pytest.raises(InputError, match="only 1 were observed"):

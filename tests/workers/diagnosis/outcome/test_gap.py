@@ -360,5 +360,5 @@ def test_rejects_invalid_input():
         gap(LinearFit(problem), np.zeros(120, dtype=bool))
     with pytest.raises(InputError, match="120 and 40 residuals"):
         Comparison(problem, nominal_problem(20), 1)
-    with pytest.raises(InputError, match="two or more; found one"):
+    with pytest.raises(InputError, match="two or more states; found one"):
         Comparison(problem, problem, 1).unseen(np.zeros(120, dtype=np.int64))

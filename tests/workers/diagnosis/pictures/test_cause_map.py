@@ -131,5 +131,5 @@ def test_rejects_invalid_values():
     with pytest.raises(InputError, match="5 places"):
         cause_map(world(np.zeros(M)), lump(), PLACES[:4])
     body = Volume(np.ones((2, 2, 2), np.uint8), (1.0, 1.0, 1.0))
-    with pytest.raises(InputError, match="edge > 0"):
+    with pytest.raises(InputError, match="voxel size of a map must be > 0"):
         voxels(scored([[1.0, 1.0, 1.0]], [1.0], [True]), body, 0.0)

@@ -53,7 +53,7 @@ def test_triangles_face_outwards(ball):
 
 
 def test_rejects_invalid_values(ball):
-    with pytest.raises(InputError, match="edge > 0"):
+    with pytest.raises(InputError, match="edge length of triangles must be > 0"):
         shape(ball, (Tissue.FAT,), 0.0)
     with pytest.raises(InputError, match="shorter edge"):
         shape(Volume(ball.values, ball.spacing_mm, (100.0, 100.0, 100.0)), (Tissue.FAT,), 500.0)

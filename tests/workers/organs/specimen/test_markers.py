@@ -77,7 +77,7 @@ def test_rotation_to_a_mirror_image_is_proper():
 
 def test_rejects_a_frame_of_collinear_markers():
     line = np.outer([0.0, 1.0, 2.0], [1.0, 2.0, 3.0])
-    with pytest.raises(InputError, match="not on a line"):
+    with pytest.raises(InputError, match="not on one line"):
         rotation_to(line, line)
 
 

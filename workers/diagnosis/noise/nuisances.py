@@ -3,11 +3,11 @@ r"""Nuisances that change residuals without a gap, as columns with a normal prio
 Every hypothesis includes them, even "no gap": changes that they can absorb are not evidence.
 
 - **Pose**: each scan may be offset from the position in its header by a registration error, with
-six rigid columns for each scan. The scan at rest has an equal error; since the points are taken
-from it, that error is common to all loaded scans. - **Drawing**: an interface may be drawn too
-large or too small as a whole, in one scan or in all scans. - **Numerical error**: another mesh,
-element or contact model moves the interfaces smoothly, by an amount that grows with their
-displacement, in a pattern that depends on the load direction.
+  six rigid columns for each scan. The scan at rest has an equal error; since the points are taken
+  from it, that error is common to all loaded scans.
+- **Drawing**: an interface may be drawn too large or too small as a whole, in one scan or in all.
+- **Numerical error**: another mesh, element or contact model moves the interfaces smoothly, by an
+  amount that grows with their displacement, in a pattern that depends on the load direction.
 """
 
 from collections.abc import Sequence

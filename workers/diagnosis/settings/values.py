@@ -305,9 +305,9 @@ class GapSettings:
     # % are between these multiples of the median.
     floor_factor: float = 1.3
     floor_range: tuple[float, float] = (0.62, 1.7)
-    # [hard set 17, open cases] Fraction of the floor that the draws of constants, forms and fields
+    # [hard set 17, open cases] Multiple of the floor that the draws of constants, forms and fields
     # do not include: on 60 bodies of the hard world, the intervals contain 48 true gaps with a
-    # fraction of zero, 46 with this value and 41 with 1.3. Models of nine FEBio bodies with the
+    # multiple of zero, 46 with this value and 41 with 1.3. Models of nine FEBio bodies with the
     # right effect have errors of 0.12 to 0.19 mm, where 0.09 to 0.15 is reported with this value
     # and 0.11 to 0.18 with 1.3.
     undrawn: float = 0.8

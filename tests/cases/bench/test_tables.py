@@ -136,7 +136,7 @@ def test_reads_separators_of_thousands(tmp_path):
         ("", "no rows"),
         (b"a,b\n1,\xb5\n", "is not text in UTF-8"),
         (b"PK\x03\x04\x00\x00\x00", "is not a text file"),
-        ("t,b\n1,2\n", r"lacks the columns a; it has t, b"),
+        ("t,b\n1,2\n", r"lacks the columns a; its columns are t, b"),
         ("a,b\nm,mm\n1,2\n", "line 2: the column a is in m, expected mm"),
     ],
 )

@@ -223,6 +223,6 @@ def checked_interfaces(interface: NDArray[np.integer], known: int) -> None:
     highest = int(interface.max(initial=-1))
     if highest >= known:
         raise InputError(
-            f"A point is on interface number {highest}, but only {known} interfaces were "
-            "observed. Observe the interfaces of the points, in the same order."
+            f"A point is on interface number {highest}, but only {known} were observed. Observe "
+            "the interfaces of the points, in the same order."
         )

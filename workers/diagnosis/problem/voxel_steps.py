@@ -28,7 +28,7 @@ from palpate.workers.diagnosis.settings.values import SETTINGS
 
 
 def voxel_steps(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
-    """Return columns whose outer product is the covariance above, shape (m, q), in mm.
+    """Return columns whose outer product is the module's covariance, shape (m, q), in mm.
 
     Parameters
     ----------

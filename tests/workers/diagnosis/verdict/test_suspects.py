@@ -62,7 +62,7 @@ def test_a_quadratic_edge_is_fitted_with_stronger_effects(loudest: float, nats: 
     [
         (9.5, 8.0, 2.0),  # the nominal model is near enough for a linear model
         (119.0, 0.5, 2.0),  # no support for the edge
-        (119.0, 8.0, 0.9),  # it tires
+        (119.0, 8.0, 0.9),  # its response saturates
     ],
 )
 def test_only_the_five_strongest_effects_are_fitted_otherwise(

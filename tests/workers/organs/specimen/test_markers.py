@@ -45,7 +45,7 @@ def test_reads_the_named_columns_in_their_unit(tmp_path):
     np.testing.assert_array_equal(found.times_s, [0, 1])
     np.testing.assert_array_equal(found.places_mm["A"][0], [1, 2000, 3000])
     assert np.isnan(found.places_mm["A"][1, 1])
-    with pytest.raises(InputError, match=r"lacks the columns Cx, Cy, Cz; it has t, Ax"):
+    with pytest.raises(InputError, match=r"lacks the columns Cx, Cy, Cz; its columns are t, Ax"):
         read_recording(path, "t", "{marker}{axis}", ["C"], 1.0)
 
 

@@ -93,7 +93,7 @@ def surface(
         If the tissue is missing, fills the volume, or is too small for the blur.
     """
     if not smooth_voxels >= 0:
-        raise InputError(f"smooth_voxels must be >= 0, found {smooth_voxels}.")
+        raise InputError(f"The blur must be >= 0 voxels, found {smooth_voxels}.")
     names = ", ".join(tissue.name.lower() for tissue in inside)
     mask = np.isin(labels.values, [int(tissue) for tissue in inside])
     if not mask.any():

@@ -95,7 +95,7 @@ def signed_distance(
         If the tissue has no interface in the volume or the band is not positive.
     """
     if not band_mm > 0:
-        raise InputError(f"band_mm must be > 0, found {band_mm}.")
+        raise InputError(f"The band of distances must be > 0 mm, found {band_mm}.")
     return distance_to(surface(labels, inside, smooth_voxels), labels, band_mm)
 
 

@@ -50,7 +50,7 @@ def test_reads_the_named_columns_in_their_unit(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"), [("t,Ax,Ay,Az\n", "no rows"), ("t,Ax,Ay,Az\n0,1,b,2\n", "numbers")]
+    ("text", "words"), [("t,Ax,Ay,Az\n", "no rows"), ("t,Ax,Ay,Az\n0,1,b,2\n", "not a number")]
 )
 def test_rejects_tables_without_numbers(tmp_path, text, words):
     path = tmp_path / "a.csv"

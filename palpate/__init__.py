@@ -1,8 +1,8 @@
 """Python interface to Palpate, which finds the stiffness of living tissue from images.
 
-A study searches elastic constants until the simulated deformation of a body agrees with
-the imaged one. A diagnosis finds what the model lacks. Both run on a Dask cluster,
-by default on processes of this machine, and continue where they were interrupted.
+A study searches for the elastic constants with which the simulated deformation of a body agrees
+with the imaged one. A diagnosis finds what the model lacks. Both run on a Dask cluster, by default
+on processes of this machine, and continue where they were interrupted.
 
 Run a study and read its results::
 
@@ -13,7 +13,7 @@ Run a study and read its results::
         results = study.run(workers=2)
         fat = results.estimates["E_fat"]
         fat.estimate, fat.interval, fat.unit        # such as 10.1, (9.8, 10.4), "kPa"
-        fat.quotable, fat.reasons                   # quotability, and reasons against it
+        fat.quotable, fat.reasons                   # whether it may be quoted, and if not, why
         results.samples(1000)["E_fat_kpa"]          # draws from the posterior
         results.to_frame()                          # every evaluation, a pandas table
         results.plot_posterior()                    # a Matplotlib figure

@@ -37,7 +37,7 @@ def connect(url: str = "http://127.0.0.1:8780", token: str | None = None) -> "Se
     InputError
         If `url` is not an address.
     ClusterError
-        If there is no answer.
+        If the service does not answer.
     """
     client = Client(url, token, patience_s=5.0)
     try:
@@ -76,11 +76,11 @@ class Service:
         study : path, mapping or StudySpec
             A study file, or its keys.
         priority : int
-            Studies of higher priority get workers first, -100 to 100.
+            From -100 to 100; studies with a higher priority get workers first.
         key : str
             Any text; submitting the same key again returns the same job.
         accept_new_code : bool
-            Continue although the code has changed since the study last ran.
+            Continue even if the code has changed since the study last ran.
         anyway : bool
             Run the study even though its inputs look implausible; its results say so.
 
@@ -119,7 +119,7 @@ class Service:
         folder = Path(source)
         files = sorted(p for p in folder.iterdir() if p.is_file()) if folder.is_dir() else []
         if not files:
-            raise InputError(f"{folder} is not a folder with a case and its scans.")
+            raise InputError(f"{folder} does not contain a case file and its scans.")
         for file in files:
             self.client.upload(file, folder.resolve().name)
         upload = folder.resolve().name
@@ -187,17 +187,17 @@ class Job:
             yield event
 
     def wait(self, *, progress: bool = False) -> JobView:
-        """Wait for the job to end and return it.
+        """Wait for the job to end, then return it.
 
         Parameters
         ----------
         progress : bool
-            Show a line, updated once a second; also in a notebook.
+            Show a progress line, updated once a second, in notebooks too.
 
         Raises
         ------
         InputError
-            If it has failed, with the reason.
+            If the job has failed; the message gives the reason.
         """
         console = Console(stderr=True, highlight=False)
         status = console.status(self.id) if progress else None
@@ -228,11 +228,11 @@ class Job:
 
     @property
     def results(self) -> dict[str, Any]:
-        """Return a study's results as `palpate report --json`, or a diagnosis record."""
+        """Return the results of a study (see `palpate report --json`), or a diagnosis record."""
         return self.client.results(self.id)
 
     def candidates(self) -> list[dict[str, Any]]:
-        """Return the records of all completed evaluations, in the order of candidates."""
+        """Return the records of all completed evaluations, in candidate order."""
         records = [r for r in self.client.journal(self.id) if r.get("kind") == "evaluation"]
         for record in records:
             record["score"] = to_number(record["score"])

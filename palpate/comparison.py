@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 class Comparison(StudyComparison):
     """A comparison of studies; see `compare`.
 
-    - ``studies``: of each, ``label``, ``results`` (see `StudyResults`) and ``lowest_scores``, the
-      lowest score after 1, 2, 3 ... evaluations,
+    - ``studies``: for each study, its ``label``, ``results`` (see `StudyResults`) and
+      ``lowest_scores``, the lowest score after 1, 2, 3 ... evaluations,
     - ``settings``: the keys of the study file that differ, with their values in every study,
     - ``as_dict()`` and ``as_csv()``: the record and the table of ``palpate compare``.
     """
 
     @classmethod
     def of(cls, found: StudyComparison) -> Self:
-        """Return the comparison in this class, which notebooks can show."""
+        """Convert a comparison to this class, which notebooks can display."""
         return cls(found.studies, found.settings, found.axis)
 
     def to_frame(self) -> "DataFrame":
@@ -61,7 +61,7 @@ def compare(*studies: Study | str | Path) -> Comparison:
     Raises
     ------
     InputError
-        If there are fewer than two, one is given twice, or a folder is not a study.
+        If there are fewer than two studies, one is given twice, or a folder is not a study.
     JournalError
         If a journal is damaged.
     """

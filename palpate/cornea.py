@@ -21,10 +21,10 @@ __all__ = ["Cornea", "CorneaSimulation"]
 
 @dataclass(frozen=True, eq=False)
 class CorneaSimulation:
-    """One simulation of a section of n nodes and m triangles of six nodes, q points in each.
+    """One simulation of a section with n nodes and m six-node triangles of q points each.
 
     A simulation that does not converge is an ordinary result: `converged` is False, `reason`
-    explains it, and the arrays describe the last state in equilibrium.
+    explains it, and the arrays describe the last equilibrium state.
 
     Parameters
     ----------
@@ -36,10 +36,10 @@ class CorneaSimulation:
     nodes_mm : ndarray, shape (n, 2)
         Undeformed nodes (x, y) as imaged.
     triangles : ndarray of int32, shape (m, 6)
-        Corners, then the middles of the sides.
+        Corners, then the midpoints of the sides.
     displacement_mm : ndarray, shape (n, 2)
     outcome : mapping of str to object
-        Iterations, displacement of the apex and other figures of the solver.
+        Iterations, apex displacement and other figures reported by the solver.
     deformed : Section
         Both surfaces after deformation, ``anterior_mm`` and ``posterior_mm``.
     """
@@ -108,14 +108,15 @@ class Cornea:
     anyway : bool
         Simulate even though the section or the load looks implausible.
     **keys
-        Keys below ``case`` in a study file, without their section: ``section`` or ``frame``;
-        ``elements``; ``kind``, ``convention``, ``prestress``, ``order_terms_by``; ``iop_mmhg``,
-        ``jet``; and held constants, such as ``mu1_pa=80``. The defaults are the same as in a study.
+        Keys below ``case`` in a study file, without the name of their section: ``section`` or
+        ``frame``; ``elements``; ``kind``, ``convention``, ``prestress``, ``order_terms_by``;
+        ``iop_mmhg``, ``jet``; and held constants, such as ``mu1_pa=80``. The defaults are the same
+        as in a study.
 
     Raises
     ------
     InputError
-        If a key is not valid or the section cannot be simulated; the message has every reason.
+        If a key is not valid or the section cannot be simulated; the message lists every reason.
 
     Examples
     --------
@@ -155,12 +156,12 @@ class Cornea:
             client.
         **constants : float
             Names and units of a study file, such as ``mu1_pa=80``; ``parameters("cornea")`` lists
-            them. Others keep the values of the model.
+            them. Other constants keep the values of the model.
 
         Raises
         ------
         InputError
-            If a constant is unknown or its value not admissible.
+            If a constant is unknown or its value is not admissible.
         """
         model = self._model
         values = model.case.complete(stated_constants(model.case, constants))

@@ -84,7 +84,7 @@ def diagnose(
     page : str or Path, optional
         Path of the HTML page to write.
     anyway : bool
-        Diagnose even if the inputs look implausible; the diagnosis then has a warning.
+        Diagnose even if the inputs look implausible; the diagnosis then carries a warning.
 
     Returns
     -------
@@ -99,7 +99,7 @@ def diagnose(
     ClusterError, TaskError
         If the workers cannot do the work; completed work is saved.
     KeyboardInterrupt
-        At Ctrl-C; completed work is saved, and the same call continues.
+        On Ctrl-C; completed work is saved, and repeating the call continues.
     """
     opened = open_source(Path(source), store)
     findings = check_source(opened, anyway=anyway)

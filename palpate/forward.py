@@ -22,18 +22,18 @@ GIVEN = "the given volume"
 class Breast:
     """A breast between two plates, ready to be simulated with any constants.
 
-    The mesh is generated for the first simulation and kept. Nothing is written to disk, and no
+    The mesh is generated for the first simulation and reused. Nothing is written to disk, and no
     cluster is needed.
 
     Parameters
     ----------
     body : Volume, str, Path or mapping
-        Labels as `read_volume` and `phantom` return them, a file, or the keys of
+        Labels as returned by `read_volume` and `phantom`, a file, or the keys of
         ``case.reference`` in a study file.
     anyway : bool
         Simulate even though the body or the load looks implausible.
     **keys
-        Keys below ``case`` in a study file, without their section: ``nodes`` or
+        Keys below ``case`` in a study file, without the name of their section: ``nodes`` or
         ``element_size_mm``; ``force_n`` or ``plate_distance_mm``, ``oblique_deg``, ``moving``;
         ``skin``, ``skin_thickness_mm``, ``fibres``, ``fibre_invariant``, ``law``; ``labels`` of a
         volume; and held constants, such as ``nu=0.48``. The defaults are the same as in a study.
@@ -41,7 +41,7 @@ class Breast:
     Raises
     ------
     InputError
-        If a key is not valid or the body cannot be simulated; the message has every reason.
+        If a key is not valid or the body cannot be simulated; the message lists every reason.
 
     Examples
     --------
@@ -99,12 +99,12 @@ class Breast:
             client.
         **constants : float
             Names and units of a study file, such as ``E_fat_kpa=8``; `parameters` lists them.
-            Others keep the values of the model.
+            Other constants keep the values of the model.
 
         Raises
         ------
         InputError
-            If a constant is unknown or its value not admissible.
+            If a constant is unknown or its value is not admissible.
         """
         if client is None:
             return self._model.simulate(constants)

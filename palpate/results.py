@@ -29,7 +29,7 @@ ViewName = Literal["coronal", "transverse", "sagittal"]
 class StudyResults(record.StudyResults):
     """The results of a study so far.
 
-    The most used attributes; each is described in its class:
+    The most important attributes, each described in its own class:
 
     - ``estimates["E_fat"]``: a `ParameterEstimate` with ``estimate``, ``unit``, ``interval``,
       ``quotable`` and ``reasons``,
@@ -65,7 +65,7 @@ class StudyResults(record.StudyResults):
         Parameters
         ----------
         n : int
-            Draws, > 0.
+            Number of draws, > 0.
         seed : int
             The same seed gives the same draws.
         constants : sequence of str, optional

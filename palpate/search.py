@@ -22,7 +22,7 @@ class Search:
     parameters : mapping of str to (float, float)
         Bounds by name.
     strategy : str
-        ``"genetic"``, ``"cma"`` or a plug-in's strategy without derivatives.
+        ``"genetic"``, ``"cma"`` or a plug-in's strategy that needs no derivatives.
     seed : int
         0 <= seed < 2**32.
     **settings
@@ -63,7 +63,7 @@ class Search:
         self._proposed = self._search.propose(self._history)
 
     def ask(self) -> list[dict[str, float]]:
-        """Return the next candidates by name; none when the search has ended.
+        """Return the next candidates by name; an empty list once the search has ended.
 
         The candidates stay the same until `tell` is called.
         """
@@ -94,7 +94,7 @@ class Search:
 
     @property
     def stopped(self) -> str:
-        """The reason for the end of the search; empty while it continues."""
+        """The reason why the search ended; empty while it continues."""
         return self._proposed.reason if isinstance(self._proposed, Stopped) else ""
 
     @property

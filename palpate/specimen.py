@@ -108,13 +108,13 @@ class Specimen:
             all workers. Not used without a client.
         **constants : float
             All of `constants`: Young's modulus of each material, such as ``E_kpa=200``, and
-            everything else that the experiment states as an interval.
+            everything else that the experiment gives as an interval.
 
         Raises
         ------
         InputError
-            If the state is unknown, a region has a measured motion in it, or a constant is unknown
-            or missing.
+            If the state is unknown, a region has a measured motion in that state, or a constant is
+            unknown or missing.
         """
         bench, loads = self._bench, _loads_of(self.spec, state)
         stated = stated_in(bench.vocabulary, constants)
@@ -151,7 +151,7 @@ def _loads_of(spec: Any, state: str) -> LoadsSpec:
 
 
 class _Bench:
-    """The mesh of a specimen, and its variable quantities."""
+    """The mesh of a specimen and the quantities that vary."""
 
     def __init__(self, spec: SpecimenSpec, voxels: values.Volume | None, nodes: int) -> None:
         self.spec: Any = spec

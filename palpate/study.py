@@ -124,7 +124,7 @@ class Study:
         scheduler : str, optional
             Address of a Dask scheduler to use instead, such as ``"tcp://host:8786"``.
         client : distributed.Client, optional
-            A connected client with workers to use instead, of one thread each; it stays open.
+            A connected client to use instead, with single-threaded workers; it stays open.
         in_process : bool
             Evaluate in this process, one candidate after the other. No main guard is needed.
         store : str or Path, optional
@@ -136,7 +136,7 @@ class Study:
         observers : iterable of Observer
             Called at every generation and evaluation.
         anyway : bool
-            Run the study even if its inputs look implausible; its results then have a warning.
+            Run the study even if its inputs look implausible; its results then carry a warning.
 
         Raises
         ------
@@ -147,7 +147,7 @@ class Study:
         ClusterError
             If the workers cannot do the work; completed evaluations are saved.
         KeyboardInterrupt
-            At Ctrl-C; completed evaluations are saved, and the same call continues.
+            On Ctrl-C; completed evaluations are saved, and repeating the call continues.
         """
         from rich.console import Console
 
@@ -189,7 +189,7 @@ class Study:
         Parameters
         ----------
         table : mapping, DataFrame, structured array, or list of mappings
-            A column for each constant by its name in a study file, such as ``E_fat_kpa``, or a
+            A column for each constant, named as in a study file, such as ``E_fat_kpa``, or a
             mapping for each candidate; see also `design`. Other constants keep the values of
             the case.
         workers, scheduler, client, in_process, store, progress, anyway
@@ -200,7 +200,7 @@ class Study:
         InputError
             If a value is not valid, before any work starts; the message names its row and column.
         StoreError, ClusterError, KeyboardInterrupt
-            As `run`.
+            As in `run`.
         """
         from rich.console import Console
 

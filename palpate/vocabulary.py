@@ -1,4 +1,4 @@
-"""Constants and effects that a study can hold or search."""
+"""Constants and effects that a study can hold fixed or search."""
 
 from palpate.workers.mechanics.parameters import Parameter
 from palpate.workers.organs.registry import DEFAULT, organ_spec

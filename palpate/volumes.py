@@ -20,13 +20,13 @@ class Volume(values.Volume):
     values : ndarray, shape (nz, ny, nx)
         Labels (``uint8``, see `Tissue`), compartment ids (``uint16``) or grey values.
     spacing_mm : tuple of float
-        Distance of voxel centres along x, y and z; > 0.
+        Distance between voxel centres along x, y and z; > 0.
     origin_mm : tuple of float
         Centre of the voxel ``values[0, 0, 0]`` as (x, y, z).
     frame_uid : str
         DICOM frame of reference of these coordinates; empty if the file names none.
     place_known : bool
-        Whether the file states where its voxels are.
+        Whether the file gives the position of its voxels.
 
     Raises
     ------
@@ -36,7 +36,7 @@ class Volume(values.Volume):
 
     @classmethod
     def of(cls, volume: values.Volume) -> Self:
-        """Return the volume in this class, which notebooks can show."""
+        """Convert a volume to this class, which notebooks can display."""
         return cls(
             volume.values,
             volume.spacing_mm,
@@ -66,7 +66,7 @@ def read_volume(
     path : str or Path
         A file, or a folder of slices.
     spacing_mm : tuple of float, optional
-        Voxel spacing along x, y and z, if the file does not state it.
+        Voxel spacing along x, y and z, if the file does not give it.
     axes : str, optional
         Image axes that are x (across), y (compression) and z (chest wall to
         nipple), such as ``"-z,y,x"``; or the anatomical directions in which x, y and z
@@ -133,7 +133,7 @@ def write_volume(
     InputError
         If the suffix is not supported or the folder does not exist.
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     check_suffix(Path(path), VOLUME_SUFFIXES, "")
     export_volume(Path(path), volume, names)

@@ -48,7 +48,7 @@ def digest(*parts: Any) -> str:
 
 
 def array_digest(array: NDArray[Any]) -> str:
-    """Return the digest of an array's shape, type and values; its memory layout does not count."""
+    """Return the digest of an array's shape, type and values; its memory layout is ignored."""
     little = array.astype(array.dtype.newbyteorder("<"), order="C", copy=False)
     state = hashlib.sha256(f"{little.dtype.str}{little.shape}".encode())
     state.update(np.ascontiguousarray(little).data)
@@ -58,7 +58,7 @@ def array_digest(array: NDArray[Any]) -> str:
 def file_digest(path: Path | str) -> str:
     """Return the digest of a file's bytes, or of the names and bytes of all files in a folder.
 
-    Hidden files do not count.
+    Hidden files are ignored.
 
     Raises
     ------

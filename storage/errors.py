@@ -21,7 +21,7 @@ _ENDLESS = re.compile(rf"\S{{{_LONGEST_WORD},}}")
 class PalpateError(Exception):
     """An error that the user can fix; the message explains how.
 
-    Words of more than 1,000 characters are cut.
+    Words of more than 1,000 characters are truncated.
     """
 
     def __str__(self) -> str:

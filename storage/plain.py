@@ -19,13 +19,13 @@ _NUMBERS = {"-inf": -math.inf, "inf": math.inf, "nan": math.nan}
 
 
 def to_plain(value: Any, *, finite: bool = False, where: str = "value") -> Any:
-    """Copy `value` as dict, list, str, int, float, bool and None only.
+    """Copy `value` using dict, list, str, int, float, bool and None only.
 
     Parameters
     ----------
     value : mapping, sequence, numpy scalar or any JSON value
     finite : bool
-        Refuse infinities and NaN instead of writing them as text.
+        Reject infinities and NaN instead of writing them as text.
     where : str
         Name of the value in error messages.
 
@@ -94,7 +94,7 @@ def dumps(value: Any) -> str:
 
 
 def loads(text: str | bytes) -> Any:
-    """Parse strict JSON; NaN and Infinity are refused.
+    """Parse strict JSON; NaN and Infinity are rejected.
 
     Raises
     ------

@@ -42,7 +42,7 @@ class Volume:
     values : ndarray, shape (nz, ny, nx)
         Labels (``uint8``, see `Tissue`), compartment ids (``uint16``) or grey values.
     spacing_mm : tuple of float
-        Distance of voxel centres along x, y and z; > 0.
+        Distance between voxel centres along x, y and z; > 0.
     origin_mm : tuple of float
         Centre of the voxel ``values[0, 0, 0]`` as (x, y, z).
     frame_uid : str
@@ -82,7 +82,7 @@ class Volume:
     def frame_facts(self) -> list[Any]:
         """Return the frame and `place_known` if either differs from its default, else nothing.
 
-        Digests of volumes end with it; leaving defaults out keeps older digests valid.
+        It is the last part of a volume's digest; omitting defaults keeps older digests valid.
         """
         if self.place_known and not self.frame_uid:
             return []

@@ -16,7 +16,7 @@ def check_pickles(value: Any, name: str) -> None:
     Raises
     ------
     AssertionError
-        If it cannot, such as a lambda.
+        If it cannot; a lambda, for example.
     """
     try:
         pickle.loads(pickle.dumps(value))

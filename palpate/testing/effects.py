@@ -31,9 +31,9 @@ LEAST_MM = 1e-4
 def check_effect(effect: Effect, problem: Problem | None = None, step: float = STEP) -> None:
     """Check the contract of an effect.
 
-    It can be pickled; its names are unique, and its units part of them; at its neutral values it
-    changes nothing; at plausible values it changes something; nothing is changed in place; and the
-    derivatives with respect to its parameters agree with differences of full solutions.
+    It can be pickled; its parameter names are unique and include their units; at its neutral values
+    it changes nothing; at plausible values it changes something; nothing is changed in place; and
+    the derivatives with respect to its parameters agree with finite differences of full solutions.
 
     Parameters
     ----------
@@ -66,13 +66,16 @@ def _check_names(effect: Effect) -> None:
     claim(effect.summary.endswith("."), f"The summary of {effect.name} is not a sentence.")
     claim(effect.references, f"{effect.name} names no reference.")
     names = effect.names
-    claim(len(set(names)) == len(names), f"{effect.name} has a parameter twice: {names}.")
+    claim(len(set(names)) == len(names), f"{effect.name} has duplicate parameters: {names}.")
     for organ in organ_names():
         others = [e for e in catalogue_of(organ).effects if e.name != effect.name]
         taken = {name for e in others for name in e.names}
         constants = {p.name for p in organ_spec(organ).parameters} - set(names)
         both = (taken | constants) & set(names)
-        claim(not both, f"{effect.name} has parameters of {organ} in use: {sorted(both)}.")
+        claim(
+            not both,
+            f"{effect.name} has parameter names that {organ} already uses: {sorted(both)}.",
+        )
 
 
 def _check_parameter(effect: Effect, name: str) -> None:
@@ -83,7 +86,8 @@ def _check_parameter(effect: Effect, name: str) -> None:
     claim(parameter.description, f"{where} has no description.")
     claim(
         parameter.lower <= neutral <= parameter.upper,
-        f"{where} is neutral at {neutral:g}, outside {parameter.lower:g} to {parameter.upper:g}.",
+        f"{where} has the neutral value {neutral:g}, outside {parameter.lower:g} to "
+        f"{parameter.upper:g}.",
     )
     span = parameter.upper - parameter.lower
     claim(
@@ -96,7 +100,7 @@ def _check_parameter(effect: Effect, name: str) -> None:
     except InputError as error:
         raise AssertionError(f"{where}: {error}") from None
     if parameter.unit.symbol:
-        claim(parameter.door_name != name, f"{where} has a unit that its name does not state.")
+        claim(parameter.door_name != name, f"{where} has a unit that is missing from its name.")
 
 
 def _check_neutral(effect: Effect, problem: Problem) -> None:
@@ -121,13 +125,13 @@ def _check_observation(effect: Effect, problem: Problem) -> None:
     body = (points, normals, tissues)
     claim(
         effect.apply(problem, effect.plausible, FRAME) == problem,
-        f"{effect.name} acts on the observation and yet changes the body.",
+        f"{effect.name} acts on the observation but changes the body.",
     )
     assert effect.observation is not None
     columns = effect.observation(*body, FRAME)
     claim(
         columns.shape == (len(points), len(effect.parameters)),
-        f"{effect.name} must return one row a point and one column a parameter, "
+        f"{effect.name} must return one row per point and one column per parameter, "
         f"{(len(points), len(effect.parameters))}, found {columns.shape}.",
     )
     claim(np.isfinite(columns).all(), f"{effect.name} moves points by non-finite amounts.")
@@ -159,7 +163,7 @@ def _check_body(effect: Effect, problem: Problem, step: float) -> None:
             share < SLOPE_ERROR,
             f"{effect.name}: the derivative with respect to {parameter.name} is off by "
             f"{share:.1%} of the largest displacement; `steps` may be too long, or the effect "
-            "depends on the path of the load (`follows_path`).",
+            "depends on the load path (`follows_path`).",
         )
 
 
@@ -171,7 +175,7 @@ def _difference(
     here: Equilibrium,
     step: float,
 ) -> FloatArray:
-    """Return the derivative of the solution in one parameter, by Richardson extrapolation."""
+    """Differentiate the solution by one parameter, with Richardson extrapolation."""
     h = step * effect.prior_sd[effect.names.index(name)]
 
     def slope(h: float) -> FloatArray:

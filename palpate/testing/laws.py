@@ -15,10 +15,11 @@ STEP = 2e-4
 def check_law(law: Isochoric) -> None:
     """Check the contract of an isochoric law.
 
-    It can be pickled; it is free of energy and stress at rest, and linear elastic for small
-    strains; a rotation turns its stress and stores nothing, of the body before or after; a change
-    of volume stores nothing; the stress is the derivative of the energy, and the tangent of the
-    stress, by differences of fourth order; and a body turned inside out is nan.
+    It can be pickled; its energy and stress vanish at rest, and it is linear elastic for small
+    strains; rotating the body before or after the deformation leaves the energy unchanged, and the
+    stress rotates with the body; a change of volume stores no energy; fourth-order differences of
+    the energy give the stress, and those of the stress give the tangent; and the energy of an
+    inverted body is nan.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def check_law(law: Isochoric) -> None:
     inverted = law.energy(np.stack([F[8], np.diag([1.0, 1.0, -1.0])]))
     claim(
         np.isfinite(inverted[0]) and np.isnan(inverted[1]),
-        f"{name}: the energy of a body turned inside out must be nan, found {inverted[1]}.",
+        f"{name}: the energy of an inverted body must be nan, found {inverted[1]}.",
     )
 
 
@@ -77,7 +78,7 @@ def _check_rotations(law: Isochoric, name: str, mu: float, F: FloatArray) -> Non
     Q = _rotation(3)
     text = f"{name} is not objective: a rotation changes"
     _close(law.energy(Q @ F), law.energy(F), mu, f"{text} its energy")
-    _close(law.stress(Q @ F), Q @ law.stress(F), mu, f"{text} its stress otherwise than by turning")
+    _close(law.stress(Q @ F), Q @ law.stress(F), mu, f"{text} its stress other than by rotating it")
     _close(law.energy(F @ Q), law.energy(F), mu, f"{name} is not isotropic")
 
 

@@ -23,18 +23,20 @@ GAIN = 0.3
 def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str] = ()) -> None:
     """Check the contract of an organ on one case.
 
-    All that the plug-in names can be imported; parameters are unique; body and mesh survive the
-    store; facts are plain values; the same case is solved to the same displacement, to the last
-    bit; the deformed body resembles itself better than the undeformed one; a fit finds the same
-    displacement as a plain solution, and a Gauss-Newton step by its derivatives comes closer.
+    Everything that the plug-in names can be imported; parameters are unique; body and mesh are
+    stored and loaded unchanged; facts are plain values; solving the same case twice gives the same
+    displacement, bit for bit; against itself the deformed body scores better than the undeformed
+    one; a fit finds the same displacement as a plain solution, and a Gauss-Newton step with its
+    derivatives reduces the residuals.
 
     Parameters
     ----------
     plugin : OrganPlugin
     case : mapping
-        Keys under ``case`` in a study file; should be solvable in seconds.
+        Keys under ``case`` in a study file; it should be solvable in seconds.
     free : sequence of str
-        Internal names of the constants to differentiate the fit by. Empty: no fit.
+        Internal names of the constants with respect to which the fit is differentiated. Empty: no
+        fit.
 
     Raises
     ------
@@ -44,7 +46,7 @@ def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str
     _check_references(plugin)
     organ: Organ[Any, Any, Any] = resolve(plugin.organ)
     name = plugin.name
-    claim(organ.name == name, f"The organ has the name {organ.name!r}, its plug-in {name!r}.")
+    claim(organ.name == name, f"The organ is named {organ.name!r}, but its plug-in {name!r}.")
     stated: OrganSpec = resolve(plugin.spec)
     spec = validated(stated.case, {"organ": name, **case}, "The case")
     claim(spec.organ == name, f"A case of {name} has the organ {spec.organ!r}.")
@@ -103,7 +105,7 @@ def _check_solution(
     claim(first.outcome.converged, f"No equilibrium was found for the case of {name}: {reason}.")
     claim(
         np.array_equal(first.displacement_mm, second.displacement_mm),
-        f"{name} gives another displacement when the same case is solved again.",
+        f"{name} gives a different displacement when the same case is solved again.",
     )
     claim(np.abs(first.displacement_mm).max() > 0, f"The load of the case moves no node of {name}.")
     deformed = organ.deform(body, mesh, first.displacement_mm)

@@ -50,7 +50,7 @@ def check_score(
     measure = objective.measure(body)
     scores = [objective.minimised(float(measure(one))) for one in (body, *others)]
     again = [objective.minimised(float(objective.measure(body)(one))) for one in (body, *others)]
-    claim(scores == again, f"{objective.name} differs from one call to the next.")
+    claim(scores == again, f"{objective.name} gives different values from one call to the next.")
     claim(_equal(before, (body, others)), f"{objective.name} changes the bodies that it compares.")
     claim(
         all(scores[0] <= one for one in scores[1:]) and scores[0] < scores[-1],
@@ -59,7 +59,7 @@ def check_score(
     )
     claim(
         scores[1:] == sorted(scores[1:]),
-        f"{objective.name} does not get worse with the distance: {scores[1:]}.",
+        f"{objective.name} does not get worse with distance: {scores[1:]}.",
     )
 
 

@@ -24,9 +24,9 @@ def check_search(strategy: Strategy, search: SearchSpec | None = None, seed: int
     """Check the contract of a search strategy on a spring with two unknown stiffnesses.
 
     It is a pure function of the previous generations: called again, or resumed from any of them,
-    it proposes the same to the last bit, in whatever order scores arrive. Candidates are within
-    their bounds; one that fails does not stop the search; it ends, within the number of
-    evaluations that it states; and it improves on its first generation.
+    it proposes the same candidates, bit for bit, in whatever order scores arrive. Candidates are
+    within their bounds; one that fails does not stop the search; the search ends within the number
+    of evaluations that it declares, and improves on its first generation.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def _check_fold(
         claim(inside, f"{strategy.name} proposes candidates outside the bounds in generation {k}.")
         claim(
             proposal.derivatives <= strategy.by_derivatives,
-            f"{strategy.name} asks for derivatives but does not state by_derivatives.",
+            f"{strategy.name} asks for derivatives but does not set by_derivatives.",
         )
         again = strategy.make(asked).propose(history[:k])
         same = isinstance(again, Proposal) and np.array_equal(again.genes, genes)
@@ -77,13 +77,15 @@ def _check_fold(
 def _followed(
     search: Search, strategy: Strategy, asked: SearchRequest, fails: Sequence[int]
 ) -> tuple[list[Generation], list[Proposal]]:
-    """Run a search to its end; evaluations with numbers in `fails` have no score."""
+    """Run a search to its end; evaluations whose numbers are in `fails` get no score."""
     most = strategy.most_evaluations(asked)
     history: list[Generation] = []
     proposals: list[Proposal] = []
     count = 0
     while isinstance(proposal := search.propose(history), Proposal):
-        claim(proposal.to_evaluate, f"{strategy.name} proposes no new candidate and does not stop.")
+        claim(
+            proposal.to_evaluate, f"{strategy.name} proposes no new candidates but does not stop."
+        )
         scores, fits = {}, {}
         for i in proposal.to_evaluate:
             fit = None if count in fails else _fit(proposal.genes[i])

@@ -30,7 +30,7 @@ _HINTS = {
     errno.EROFS: "The file system is read-only: choose another place.",
     errno.EACCES: "You may not write there: choose another place or change its permissions.",
     errno.EPERM: "You may not write there: choose another place or change its permissions.",
-    errno.ENOTDIR: "A part of this path is a file, not a folder: choose another place.",
+    errno.ENOTDIR: "Part of this path is a file, not a folder: choose another place.",
     errno.ENOENT: "The folder does not exist: was it moved or removed?",
     errno.EISDIR: "A folder already has that name: choose another name.",
     errno.ENAMETOOLONG: "The name is too long: choose a shorter one.",
@@ -43,10 +43,10 @@ _HINTS = {
     errno.ETIMEDOUT: "The network file system does not respond: check the network and try again.",
 }
 NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.EINVAL}
-"""Errors of a file system that has no file locks."""
+"""Errors raised by file systems without file locks."""
 NO_LOCKS_ADVICE = (
-    "This file system has no file locks, without which two runs could write one file. Choose a "
-    "folder on a local disk, or mount it with locks (NFS: without `nolock`; Lustre: `flock`)."
+    "This file system has no file locks, without which two runs could write the same file. Choose "
+    "a folder on a local disk, or mount it with locks (NFS: without `nolock`; Lustre: `flock`)."
 )
 # Errors of file systems that cannot fsync a folder.
 _NO_FOLDER_SYNC = {errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EBADF}
@@ -54,7 +54,9 @@ _NO_FOLDER_SYNC = {errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EBADF}
 
 def hint(error: OSError) -> str:
     """Return advice for a failed write."""
-    return _HINTS.get(error.errno or 0, "Choose another place, or ask who runs this file system.")
+    return _HINTS.get(
+        error.errno or 0, "Choose another place, or ask the administrator of this file system."
+    )
 
 
 def read_hint(error: OSError) -> str:
@@ -66,7 +68,7 @@ def read_hint(error: OSError) -> str:
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """Turn an ``OSError`` of a write to `path` into a `StoreError` with advice."""
+    """Turn an ``OSError`` from a write to `path` into a `StoreError` with advice."""
     try:
         yield
     except OSError as error:

@@ -36,7 +36,7 @@ class Entry(Generic[P]):
     place : Path or ObjectPath
         A file, or a group of arrays.
     modified_s : float
-        When it was last written, seconds since 1970.
+        Time of the last write, in seconds since 1970.
     half_written : bool
         True if its writer has not finished, or never will; readers skip it.
     """
@@ -66,7 +66,7 @@ class ZarrAddress:
 
 
 class Backend(Protocol[P]):
-    """Reading and writing at one kind of place.
+    """Reading and writing in one kind of place.
 
     All methods raise `StoreError` with advice if the place cannot be read or written.
     """

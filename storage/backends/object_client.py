@@ -15,7 +15,7 @@ Address and credentials come from the environment variables that every client re
 Without AWS_ACCESS_KEY_ID, credentials for S3 come from a profile of the AWS command line:
 `backends.aws_profile`. Credentials for Google and Azure are read by obstore.
 
-A request that reaches no server, or a failing one, is retried with growing pauses. The first
+A request that reaches no server, or a failing one, is retried after growing pauses. The first
 request of a process gives up sooner: a wrong address is more likely than an outage.
 """
 
@@ -56,7 +56,7 @@ class _Service:
     endpoint : str
         Variable with the address of another server, for messages.
     endpoints : tuple of str
-        All such variables; the first that is set counts.
+        All such variables; the first one that is set is used.
     without_keys : str
         Advice if there are no credentials.
     keys : str
@@ -89,8 +89,8 @@ _SERVICES: dict[Scheme, _Service] = {
         variables="GOOGLE_",
         endpoint="GOOGLE_BASE_URL",
         endpoints=("GOOGLE_BASE_URL",),
-        without_keys="Set GOOGLE_APPLICATION_CREDENTIALS to a file of credentials, or type "
-        "`gcloud auth application-default login`",
+        without_keys="Set GOOGLE_APPLICATION_CREDENTIALS to a file of credentials, or run `gcloud "
+        "auth application-default login`",
         keys="GOOGLE_APPLICATION_CREDENTIALS",
     ),
     "az": _Service(
@@ -153,7 +153,7 @@ def _s3_options() -> dict[str, str]:
 
 
 def _access() -> Profile:
-    """Return the settings of the environment, completed by a profile if it has no keys.
+    """Return the settings from the environment, with keys from a profile if it has none.
 
     Raises
     ------
@@ -174,7 +174,7 @@ def _stated(names: tuple[str, ...]) -> str:
 
 @contextmanager
 def explained(place: ObjectPath) -> Iterator[None]:
-    """Turn errors of a request into a `StoreError` with advice.
+    """Turn errors from a request into a `StoreError` with advice.
 
     Raises
     ------
@@ -202,7 +202,7 @@ def _client(
     server_url: str,
     patience_s: float,
 ) -> "ObjectStore":
-    """Connect to a bucket; `read` are the variables that obstore reads itself."""
+    """Connect to a bucket; `read` lists the variables that obstore reads itself."""
     try:
         from obstore import store
     except ImportError as error:
@@ -264,7 +264,7 @@ def _explanation(place: ObjectPath, error: Exception) -> StoreError:
         )
     if isinstance(error, PermissionDeniedError | UnauthenticatedError):
         return StoreError(
-            f"{place} cannot be used: {_server(place)} refuses access{_code(text)}. Check "
+            f"{place} cannot be used: {_server(place)} denies access{_code(text)}. Check "
             f"{service.keys}, and their permissions for this bucket."
         )
     if _is_unreached(text):

@@ -23,7 +23,7 @@ class ObjectPath:
     bucket : str
         Bucket name, or container name on Azure.
     key : str
-        Without slashes at its ends; empty for the bucket itself.
+        Without leading or trailing slashes; empty for the bucket itself.
     scheme : {"s3", "gs", "az"}
         S3, Google Cloud Storage or Azure Blob Storage.
 

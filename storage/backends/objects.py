@@ -1,14 +1,14 @@
 """Storage backend for a bucket; see `storage.backends.contract.Backend`.
 
 Single objects are written atomically, groups of them are not. The arrays of a group are in a
-subgroup that only its writer knows; the description of the group is put last, on condition that
-there is none, and names that subgroup::
+subgroup that only its writer knows; the description of the group is put last, only if there is none
+yet, and names that subgroup::
 
     <digest>.zarr/zarr.json             put last, by one writer
     <digest>.zarr/w-<random>/values/    the arrays of that writer
 
-So two writers cannot mix even on a server that ignores conditions. A group without a description
-is unfinished; `palpate store gc` removes it.
+So the arrays of two writers cannot mix, even on a server that ignores conditions. A group without a
+description is unfinished; `palpate store gc` removes it.
 """
 
 import json
@@ -60,7 +60,7 @@ def write(place: ObjectPath, data: bytes) -> None:
 
 
 def create(place: ObjectPath, data: bytes) -> bool:
-    """Put a new object, on condition that there is none of that name.
+    """Put a new object, only if there is none with that name.
 
     The client does not retry a conditional put whose response is lost; the stored object is
     compared instead.
@@ -146,7 +146,7 @@ def publish_group(place: ObjectPath, attributes: Mapping[str, Any], fill: FillGr
     """Write the arrays into a new subgroup, then the description of the group.
 
     Zarr fills a store in memory, and its objects are then uploaded in parallel. Writing directly to
-    a bucket, Zarr would describe every folder above the group, and look for each first.
+    a bucket, Zarr would also describe every folder above the group, after looking for each one.
     """
     own = place / f"w-{secrets.token_hex(8)}"
     packed: dict[str, Buffer] = {}

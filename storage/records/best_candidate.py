@@ -1,7 +1,7 @@
 """The best candidate of a study, by one rule for every reader of its journal.
 
 Candidates are compared at the study's own resolution; if a study stopped before reaching it, the
-finest level reached counts. If the strategy minimises the sum of squares, the candidate with the
+finest level reached is used. If the strategy minimises the sum of squares, the candidate with the
 smallest sum is best, otherwise the one with the lowest score; ties go to the first. The score is
 GSF unless the study defines another objective.
 """
@@ -145,7 +145,7 @@ class BestSoFar:
 
 
 def best_so_far(endings: Iterable[EvaluationRecord]) -> BestSoFar:
-    """Return the best of some candidates, and the one with the lowest GSF."""
+    """Find the best of these candidates, and the one with the lowest score."""
     best = BestSoFar()
     for record in endings:
         best.add(record)

@@ -1,4 +1,4 @@
-r"""The journal from which a study is resumed: an append-only file of JSON records, one a line.
+r"""The journal from which a study is resumed: an append-only file of JSON records, one per line.
 
 ::
 
@@ -71,7 +71,7 @@ class Journal:
         self._torn = False
 
     def append(self, *records: Mapping[str, Any]) -> None:
-        """Write records and return when they are on disk; on an error, none is written.
+        """Write records and return once they are on disk; on an error, none is written.
 
         Parameters
         ----------

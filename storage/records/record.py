@@ -10,8 +10,8 @@
     identification  the identifiability of the constants, from the tangents at the best candidate
     end           the search has stopped: reason, best candidate, scores by tissue
 
-No score depends on the sessions, generations and the end. Records check themselves, so an
-inconsistent one can be neither made nor read.
+Scores do not depend on session, generation or end records. Records are validated, so an
+inconsistent one can be neither created nor read.
 """
 
 import math
@@ -187,7 +187,7 @@ class ProposalRecord(_JournalRecord):
 
 @dataclass(frozen=True)
 class GenerationRecord(_JournalRecord):
-    """The mark that all scores of a generation are known.
+    """A marker written once all scores of a generation are known.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ class IdentificationRecord(_JournalRecord):
 
     def __post_init__(self) -> None:
         if (self.fit is None) != bool(self.reason):
-            _refuse("an identification has either tangents or a reason why not")
+            _refuse("an identification needs either tangents or the reason why there are none")
         for name in ("fit", "nuisances", "meshes"):
             if getattr(self, name) is not None:
                 _restore_numbers(self, name)

@@ -19,7 +19,7 @@ class ChecksumError(ValueError):
 
 
 def seal(text: str) -> str:
-    """Add a checksum to a JSON object, written without surrounding blanks.
+    """Add a checksum to a JSON object, written without surrounding whitespace.
 
     Examples
     --------

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, NotRequired, TypedDict
 
 SpecJson = Mapping[str, object]
-"""A part of a study file as its pydantic model writes it: a case, a target or a score."""
+"""Part of a study file as its pydantic model writes it: a case, a target or a score."""
 
 
 Scores = Mapping[str, float]

@@ -38,7 +38,7 @@ def save_arrays(
 ) -> None:
     """Write arrays as one group, whole or not at all.
 
-    If `path` exists already, or another writer finishes first, that one is kept: equal
+    If `path` exists already, or another writer finishes first, that group is kept: equal
     names mean equal content.
 
     Parameters

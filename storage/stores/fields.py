@@ -30,7 +30,7 @@ def save_field(store: Store, digest: str, displacement_mm: FloatArray) -> None:
     if len(shape) != 2 or shape[1] not in (2, 3) or dtype != np.float64:
         raise StoreError(
             f"A displacement field has shape {shape} and type {dtype}, "
-            "expected (n, 3), or (n, 2) of a section, and float64."
+            "expected (n, 3), or (n, 2) for a section, and float64."
         )
     save_arrays(store.layout.field(digest), {"displacement_mm": displacement_mm})
 

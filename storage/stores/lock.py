@@ -1,6 +1,6 @@
 """The maintenance lock of a store, for one process at a time on any machine.
 
-The lock is a file that is created on condition that there is none, and removed at the end. A
+The lock is a file that is created only if there is none, and removed at the end. A
 process that is killed leaves it behind; the next one's error message explains how to remove it.
 Running studies take no lock: they name their files by content.
 """
@@ -43,8 +43,8 @@ def maintaining(store: Store, what: str) -> Iterator[None]:
     }
     if not store.backend.create(place, dumps(owner).encode()):
         raise StoreError(
-            f"{store} is being maintained by {_owner(store)}. Wait until it ends; if that process "
-            f"is gone, remove {place} and run the command again."
+            f"{store} is being maintained by {_owner(store)}. Wait for it to finish; if that "
+            f"process is gone, remove {place} and run the command again."
         )
     try:
         yield

@@ -66,7 +66,7 @@ def export_mesh(
     mesh : TetMesh
     point_data : mapping of str to ndarray, shape (n,), (n, 3) or (n, 6), optional
         Values at nodes, such as ``displacement_mm``; six are the components xx, yy, zz, xy, yz,
-        xz of a symmetric tensor, written in full (nine) to .msh.
+        xz of a symmetric tensor, written to .msh with all nine.
     cell_data : mapping of str to ndarray, shape (m,), (m, 3) or (m, 6), optional
         Values in tetrahedra, such as ``tissue``.
 

@@ -49,7 +49,7 @@ def probe_store(location: Location) -> StoreProbe:
     takes_once = all(_one_wins(store, place) for place in taken)
     backend.write(written, content)
     if backend.read(written) != content:
-        raise StoreError(f"{written} was written and is read back with another content.")
+        raise StoreError(f"{written} was written but read back with different content.")
     listed = {entry.place for entry in backend.entries(folder)}
     if written not in listed:
         raise StoreError(f"{written} was written, but {folder} does not list it.")

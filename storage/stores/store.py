@@ -77,7 +77,7 @@ def open_store(location: Location, *, create: bool = True) -> Store:
     elif version is None:
         raise StoreError(
             f"{layout.root} is not a store: it {backend.why_no_store(layout.root)}. Give the "
-            "store of an earlier run, or run a study to make one."
+            "store of an earlier run, or run a study to create one."
         )
     backend.clean(layout.root, layout.folders)
     return store

@@ -40,7 +40,9 @@ def save_volume(
     """
     clash = sorted(set(meta or {}) & set(OWN))
     if clash:
-        raise StoreError(f"The metadata of a volume cannot contain {clash}: reserved keys.")
+        raise StoreError(
+            f"The metadata of a volume cannot contain {clash}: these keys are reserved."
+        )
     values = volume.values
     attributes = {
         **(meta or {}),
@@ -82,7 +84,7 @@ def volume_meta(store: Store, digest: str) -> dict[str, Any]:
     -------
     dict
         The `meta` it was saved with, and ``spacing_mm`` and ``origin_mm`` (x, y, z),
-        ``labels`` (name by label; None if the values are no tissues), ``shape``
+        ``labels`` (name by label; None if the values are not tissues), ``shape``
         (nz, ny, nx) and ``dtype``; ``frame_uid`` and ``place_known`` if they differ from
         the defaults of `Volume`.
 

@@ -16,7 +16,7 @@ from palpate.storage.stores.store import Store, stored_schema, write_schema
 Step = Callable[[Store], None]
 
 STEPS: Mapping[int, Step] = {}
-"""Migration steps by the version they start from; each ends with the next version."""
+"""Migration steps by the version they start from; each results in the next version."""
 
 
 def migrate(location: Location) -> tuple[int, int]:

@@ -1,8 +1,8 @@
-"""The compose file: valid by the specification, wired together, and its commands run.
+"""The compose file is valid, its services fit together, and its commands run.
 
 There is no Docker engine where these tests run, so images are not built here. The
 scheduler, a worker and their health checks are started as processes of this machine
-instead, with the very commands of the file.
+instead, with the exact commands of the file.
 """
 
 import json
@@ -52,7 +52,7 @@ def ours(compose: dict[str, Any]) -> dict[str, Any]:
 
 
 def misspelt(tmp_path: Path) -> Path:
-    """A copy with one wrong key, which a validator worth asking must refuse."""
+    """A copy with one wrong key, which any useful validator must reject."""
     copy = tmp_path / "docker-compose.yml"
     copy.write_text(COMPOSE.read_text().replace("depends_on:", "depend_on:", 1))
     return copy
@@ -61,7 +61,7 @@ def misspelt(tmp_path: Path) -> Path:
 # --- the specification ---------------------------------------------------------
 
 
-def test_valid_by_the_schema_of_the_compose_specification(tmp_path: Path) -> None:
+def test_conforms_to_the_schema_of_the_compose_specification(tmp_path: Path) -> None:
     pytest.importorskip(
         "check_jsonschema", reason="check-jsonschema, which holds the schema, is not installed"
     )
@@ -97,7 +97,7 @@ def test_docker_compose_accepts_the_file(tmp_path: Path) -> None:
 # --- how it is wired -------------------------------------------------------------
 
 
-def test_one_scheduler_scaled_workers_one_service(compose: dict[str, Any]) -> None:
+def test_has_one_scheduler_one_service_and_scalable_workers(compose: dict[str, Any]) -> None:
     services = compose["services"]
     assert set(services) == {"scheduler", "worker", "service", "driver", "bucket", "objects"}
     profiles = {name: service.get("profiles") for name, service in services.items()}
@@ -115,7 +115,7 @@ def test_one_scheduler_scaled_workers_one_service(compose: dict[str, Any]) -> No
     assert re.fullmatch(f"{VERSION}{DIGEST}", services["objects"]["image"])
 
 
-def test_every_service_waits_for_those_it_needs(compose: dict[str, Any]) -> None:
+def test_every_service_waits_for_its_dependencies(compose: dict[str, Any]) -> None:
     services = compose["services"]
     waits = {name: set(service.get("depends_on", {})) for name, service in services.items()}
     assert waits == {
@@ -135,14 +135,14 @@ def test_every_service_waits_for_those_it_needs(compose: dict[str, Any]) -> None
                 assert "test" in services[needed]["healthcheck"]
 
 
-def test_all_share_the_store_and_the_safe_path(compose: dict[str, Any]) -> None:
+def test_all_services_share_the_store_and_set_the_safe_path(compose: dict[str, Any]) -> None:
     assert list(compose["volumes"]) == ["data", "objects", "cache"]
     for name, service in ours(compose).items():
         assert ("data:/data" in service["volumes"]) == (name != "bucket")
         assert service["environment"]["PYTHONSAFEPATH"] == "1"
 
 
-def test_the_object_store_and_its_users_agree(compose: dict[str, Any]) -> None:
+def test_the_object_store_and_its_clients_have_matching_settings(compose: dict[str, Any]) -> None:
     text = COMPOSE.read_text()
     services = compose["services"]
     objects = services["objects"]
@@ -169,7 +169,7 @@ def test_the_object_store_and_its_users_agree(compose: dict[str, Any]) -> None:
     assert "--owner palpate --group palpate /data /objects " in final
 
 
-def test_every_service_is_bounded_and_writes_where_it_may(compose: dict[str, Any]) -> None:
+def test_every_service_has_limits_and_a_read_only_file_system(compose: dict[str, Any]) -> None:
     for name, service in compose["services"].items():
         limits = service["deploy"]["resources"]["limits"]
         assert limits["cpus"], name
@@ -194,7 +194,7 @@ def test_the_driver_runs_an_existing_study(compose: dict[str, Any]) -> None:
     assert (ROOT / "examples" / "demo.yaml").exists()
 
 
-def test_addresses_agree(compose: dict[str, Any]) -> None:
+def test_addresses_and_ports_match_between_services(compose: dict[str, Any]) -> None:
     services = compose["services"]
     scheduler = services["scheduler"]["command"]
     port = scheduler[scheduler.index("--port") + 1]
@@ -215,7 +215,7 @@ def test_ports_are_open_to_this_machine_only(compose: dict[str, Any]) -> None:
     assert compose["services"]["service"]["ports"] == ["127.0.0.1:8780:8780"]
 
 
-def test_the_token_is_a_secret_and_the_cluster_has_a_network_of_its_own(
+def test_the_token_is_a_secret_and_the_cluster_has_its_own_network(
     compose: dict[str, Any],
 ) -> None:
     assert compose["x-required"][0].startswith("${PALPATE_TOKEN:?")
@@ -231,7 +231,7 @@ def test_the_token_is_a_secret_and_the_cluster_has_a_network_of_its_own(
     assert compose["networks"]["cluster"] == {"internal": True}
 
 
-def test_a_worker_takes_one_evaluation_and_no_more_memory_than_it_may(
+def test_a_worker_runs_one_evaluation_within_its_memory_limit(
     compose: dict[str, Any],
 ) -> None:
     worker = compose["services"]["worker"]
@@ -242,7 +242,7 @@ def test_a_worker_takes_one_evaluation_and_no_more_memory_than_it_may(
     assert limit == worker["deploy"]["resources"]["limits"]["memory"]
 
 
-def test_dask_is_told_the_same_as_by_a_cluster_of_our_own(compose: dict[str, Any]) -> None:
+def test_dask_settings_match_those_of_a_local_cluster(compose: dict[str, Any]) -> None:
     for name in ("scheduler", "worker"):
         told = dask.config.collect_env(compose["services"][name]["environment"])
         for key, value in CONFIG.items():
@@ -250,7 +250,7 @@ def test_dask_is_told_the_same_as_by_a_cluster_of_our_own(compose: dict[str, Any
                 assert dask.config.get(key, config=told) == value, key
 
 
-def test_the_image_keeps_evaluations_to_one_thread() -> None:
+def test_the_image_limits_evaluations_to_one_thread() -> None:
     final = (ROOT / "Dockerfile").read_text().rpartition("\nFROM ")[2]
     for name, value in WORKER_ENVIRONMENT.items():
         assert f"{name}={value}" in final
@@ -258,14 +258,14 @@ def test_the_image_keeps_evaluations_to_one_thread() -> None:
     assert re.search(r"^USER [1-9]\d*$", final, re.MULTILINE), "the image must not run as root"
 
 
-def test_the_image_stands_on_one_base_of_a_known_digest() -> None:
+def test_the_image_has_one_base_pinned_by_digest() -> None:
     bases = re.findall(r"^FROM (\S+)", (ROOT / "Dockerfile").read_text(), re.MULTILINE)
     assert len(bases) == 2
     assert len(set(bases)) == 1
     assert re.fullmatch(rf"python:\d+\.\d+\.\d+-slim-\w+{DIGEST}", bases[0])
 
 
-def test_the_image_is_given_all_that_it_copies() -> None:
+def test_the_build_context_has_exactly_the_copied_files() -> None:
     allowed = {
         line[1:].strip("/")
         for line in (ROOT / ".dockerignore").read_text().splitlines()
@@ -281,7 +281,7 @@ def test_the_image_is_given_all_that_it_copies() -> None:
 
 
 def exits(tmp_path: Path, *codes: int) -> list[str]:
-    """Return a command that ends with one code after the other."""
+    """Return a command that exits with the next of these codes at each call."""
     script = (
         "import pathlib, sys; count = pathlib.Path(sys.argv[1]); "
         "count.write_text(count.read_text() + '.' if count.exists() else '.'); "
@@ -294,7 +294,7 @@ def exits(tmp_path: Path, *codes: int) -> list[str]:
     ("codes", "started", "ended"),
     [([2, 0], 1, 2), ([0], 1, 0), ([130, 0], 1, 130), ([1, 1, 0], 3, 0), ([1] * 5, 4, 1)],
 )
-def test_a_mistake_is_not_tried_again_and_other_failures_are(
+def test_user_errors_are_not_retried_but_other_failures_are(
     compose: dict[str, Any], tmp_path: Path, codes: list[int], started: int, ended: int
 ) -> None:
     assert compose["services"]["driver"]["restart"] == "no"
@@ -345,7 +345,7 @@ def becomes_healthy(test: list[str], patience_s: float = 60) -> bool:
     return False
 
 
-def test_the_commands_start_and_their_health_checks_tell_the_truth(tmp_path: Path) -> None:
+def test_the_commands_start_and_their_health_checks_are_correct(tmp_path: Path) -> None:
     """The file's own commands, with the host and the ports of a container replaced."""
     ports = {name: str(free_port()) for name in ("8780", "8786", "8787", "8788")}
     text = interpolated(COMPOSE.read_text()).replace("tcp://scheduler:", "tcp://127.0.0.1:")
@@ -375,7 +375,7 @@ def test_the_commands_start_and_their_health_checks_tell_the_truth(tmp_path: Pat
 
 
 def cluster_of(url: str, patience_s: float = 60, **token: str) -> dict[str, int]:
-    """What the service knows of its cluster, as soon as it has one."""
+    """Return the service's view of its cluster, as soon as it has one."""
     with Client(url, token["PALPATE_TOKEN"]) as client:
         deadline = time.monotonic() + patience_s
         while not (found := client.cluster()).threads and time.monotonic() < deadline:
@@ -384,7 +384,7 @@ def cluster_of(url: str, patience_s: float = 60, **token: str) -> dict[str, int]
 
 
 def work_done(address: str) -> int:
-    """What a client gets from the worker; in a process of its own, which leaves no threads."""
+    """Return a worker's result, from a client in a separate process, which leaves no threads."""
     client = (
         "import sys; from distributed import Client\n"
         "with Client(sys.argv[1], timeout=20) as client:\n"

@@ -1,4 +1,4 @@
-"""The pinned versions cover what pyproject.toml asks for, and name no address."""
+"""The pinned versions cover the requirements in pyproject.toml and contain no addresses."""
 
 import re
 import tomllib
@@ -27,13 +27,13 @@ def test_every_line_is_a_name_and_a_version() -> None:
         assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*==[A-Za-z0-9.!+_-]+", line), line
 
 
-def test_no_address_and_no_path() -> None:
+def test_contains_no_address_or_path() -> None:
     text = "\n".join(LINES)
     for sign in ("://", "@", "/", "--"):
         assert sign not in text
 
 
-def test_no_name_twice_and_not_ourselves() -> None:
+def test_names_are_unique_and_exclude_palpate() -> None:
     names = [canonicalize_name(line.partition("==")[0]) for line in LINES]
     assert len(names) == len(set(names))
     assert "palpate" not in names
@@ -54,7 +54,7 @@ def test_every_dependency_is_pinned_to_a_version_it_allows(asked: str) -> None:
     assert requirement.specifier.contains(pinned), f"{asked} does not allow {pinned}: {HINT}"
 
 
-def test_optional_extras_allow_the_pins_they_meet() -> None:
+def test_extras_allow_the_pinned_versions() -> None:
     for asked in (line for extra in EXTRAS.values() for line in extra):
         requirement = Requirement(asked)
         pinned = pins().get(canonicalize_name(requirement.name))

@@ -1,4 +1,4 @@
-"""Folders of the user with the names of Palpate's own do no harm."""
+"""User folders with the same names as Palpate's do no harm."""
 
 import os
 import subprocess
@@ -28,7 +28,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.timeout(600)  # with kernels to compile; else half a minute
-def test_a_script_beside_folders_of_these_names_runs_a_study(tmp_path: Path) -> None:
+def test_a_script_next_to_folders_with_these_names_runs_a_study(tmp_path: Path) -> None:
     for name in ("storage", "workers", "tests"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise ImportError('the wrong package')\n")

@@ -1,4 +1,4 @@
-"""A distribution of another lab adds an effect, a law, a score and an organ; all run on workers."""
+"""A distribution from another lab adds an effect, a law, a score and an organ; workers run all."""
 
 import json
 import os
@@ -97,14 +97,14 @@ def test_a_study_uses_the_effect_and_the_score_of_a_plugin(site: Path, study: Pa
     assert "Centroid distance, mm, lower is better" in page
 
 
-def test_a_diagnosis_suspects_its_effect(site: Path, study: Path) -> None:
+def test_a_diagnosis_includes_its_effect(site: Path, study: Path) -> None:
     script = study.parent / "diagnose.py"
     script.write_text(DIAGNOSE.format(study=str(study), store=str(study.parent / "store")))
     found = json.loads(python(site, script))
     assert {"side_weight", "plate_tilt"} == set(found)
 
 
-def test_a_result_depends_on_the_code_of_what_it_uses(site: Path) -> None:
+def test_a_result_depends_on_the_code_of_its_plugins(site: Path) -> None:
     before = python(site, "-c", NAME_IT).split()
     effect = site / "palpate_example" / "effect.py"
     text = effect.read_text()
@@ -146,7 +146,7 @@ def bare_worker(tmp_path: Path) -> Iterator[str]:
             process.wait(timeout=30)
 
 
-def test_a_worker_without_it_is_named_before_any_work(
+def test_a_worker_without_the_plugin_is_named_before_any_work(
     site: Path, bare_worker: str, tmp_path: Path
 ) -> None:
     run = ["-m", "palpate", "run", STUDY, "--study", tmp_path / "plugin", "--store", tmp_path / "s"]

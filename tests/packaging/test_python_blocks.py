@@ -1,4 +1,4 @@
-"""The Python blocks of the docs that are marked run as printed, file by file, in order."""
+"""The marked Python blocks of the docs run as printed, file by file, in order."""
 
 import re
 import subprocess

@@ -29,7 +29,7 @@ PACKAGES = ("palpate", "service", "workers", "storage", "tests")
 
 @dataclass(frozen=True)
 class Block:
-    """Lines of a shell, the file they are in, and their mark."""
+    """Shell lines, the file that contains them, and their mark."""
 
     file: str
     mark: str
@@ -69,7 +69,7 @@ def test_every_link_and_picture_exists(file: str) -> None:
 
 @pytest.fixture
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of what is tracked. The packages are those here, whose kernels are compiled."""
+    """A copy of the tracked files except the packages, whose kernels are compiled here."""
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         pytest.skip("README is tried in a copy of a checkout, and this is none")
     folder = tmp_path_factory.mktemp("readme") / "palpate"
@@ -118,7 +118,7 @@ def test_quick_blocks_run_as_printed(file: str, checkout: Path) -> None:
 @pytest.mark.timeout(2 * LIMIT_S)
 @pytest.mark.parametrize("file", FILES)
 def test_all_blocks_run_as_printed(file: str, checkout: Path) -> None:
-    """Documented: pytest -m slow tests/packaging/test_readme.py; half an hour."""
+    """Run with pytest -m slow tests/packaging/test_readme.py; this takes half an hour."""
     for block in BLOCKS:
         if block.file == file and block.mark in ("runs", "slow"):
             run(block, checkout)

@@ -1,4 +1,4 @@
-"""The wheel holds one package with all of its modules, and nothing else."""
+"""The wheel contains one package with all of its modules, and nothing else."""
 
 import subprocess
 import sys
@@ -13,7 +13,7 @@ PACKAGES = ("service", "workers", "storage")
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built without a network: by the hatchling that is installed."""
+    """The wheel, built without a network by the installed hatchling."""
     pytest.importorskip("hatchling", reason="hatchling, which builds the wheel, is not installed")
     folder = tmp_path_factory.mktemp("wheel")
     options = ["--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check"]
@@ -44,7 +44,7 @@ def test_only_palpate_can_be_imported(wheel: Path, names: list[PurePosixPath]) -
     assert "palpate" in tops
 
 
-def test_every_module_is_in_it_and_no_rubbish(names: list[PurePosixPath]) -> None:
+def test_contains_every_module_and_nothing_unwanted(names: list[PurePosixPath]) -> None:
     here = {
         f"palpate/{path.relative_to(ROOT).as_posix()}"
         for package in PACKAGES
@@ -65,7 +65,7 @@ def test_mammogram_tables_are_in_the_wheel(names: list[PurePosixPath]) -> None:
     assert {name.as_posix() for name in names if name.suffix == ".csv"} == here
 
 
-def test_the_command_and_the_licence(wheel: Path, names: list[PurePosixPath]) -> None:
+def test_contains_the_command_and_the_licence(wheel: Path, names: list[PurePosixPath]) -> None:
     (scripts,) = [name for name in names if name.name == "entry_points.txt"]
     with zipfile.ZipFile(wheel) as archive:
         assert "palpate = palpate.__main__:main" in archive.read(str(scripts)).decode()
@@ -75,7 +75,7 @@ def test_the_command_and_the_licence(wheel: Path, names: list[PurePosixPath]) ->
 def test_the_packages_of_the_wheel_import_without_the_repository(
     wheel: Path, tmp_path: Path
 ) -> None:
-    """A module that was left out, or data beside it, would be missed here."""
+    """A missing module or data file would make this fail."""
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path)
     script = (

@@ -24,7 +24,7 @@ def result(model: palpate.Cornea) -> palpate.CorneaSimulation:
     return model.simulate()
 
 
-def test_docstring_example() -> None:
+def test_docstring_example_runs() -> None:
     assert doctest.testmod(palpate.cornea).attempted
     assert doctest.testmod(palpate.cornea).failed == 0
 

@@ -13,7 +13,7 @@ from palpate.storage.values import Tissue
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-def test_own_images_are_in_patient_coordinates_and_named_as_in_slicer() -> None:
+def test_own_images_use_patient_coordinates_and_slicer_names() -> None:
     files = ("rest.seg.nrrd", "compressed.seg.nrrd")
     rest, pressed = (palpate.read_volume(EXAMPLES / "own-images" / f, axes="S R A") for f in files)
     assert set(np.unique(rest.values)) == {0, Tissue.FAT, Tissue.GLANDULAR}

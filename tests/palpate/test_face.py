@@ -22,7 +22,7 @@ EXAMPLE: dict[str, Any] = {
 }
 
 
-def test_documentation_examples() -> None:
+def test_documentation_examples_run() -> None:
     assert doctest.testmod(palpate).attempted > 3
     assert doctest.testmod(palpate).failed == 0
 

@@ -123,7 +123,7 @@ def test_diverged_simulation_has_reason(model: palpate.Breast) -> None:
         result.gradient("E_fat_kpa")
 
 
-def test_files_hold_the_arrays(result: palpate.Simulation, tmp_path: Path) -> None:
+def test_files_contain_the_arrays(result: palpate.Simulation, tmp_path: Path) -> None:
     found = meshio.read(result.to_vtu(tmp_path / "body.vtu"))
     direct = result.to_meshio()
     for mesh in (found, direct):
@@ -221,7 +221,7 @@ def test_rejects_invalid_constants(model: palpate.Breast) -> None:
             model.simulate(**constants)
 
 
-def test_docstring_example() -> None:
+def test_docstring_example_runs() -> None:
     assert doctest.testmod(palpate.forward).attempted
     assert doctest.testmod(palpate.forward).failed == 0
 

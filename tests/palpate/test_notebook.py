@@ -35,7 +35,7 @@ def pictures_in(notebook: nbformat.NotebookNode) -> int:
 
 
 @pytest.mark.filterwarnings(*THREADS)
-def test_one_simulation_a_batch_and_a_study_fit_25_lines(tmp_path: Path) -> None:
+def test_one_simulation_a_batch_and_a_study_fit_in_25_lines(tmp_path: Path) -> None:
     notebook = executed("sensitivity.ipynb", tmp_path)
     sources = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
     assert sum(bool(line) for source in sources for line in source.split("\n")) <= 25

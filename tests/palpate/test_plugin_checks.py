@@ -35,7 +35,7 @@ CORNEA_CASE = {"mesh": {"elements": 100}}
     [WALL_HOLD, FRICTION, COMPRESSIBILITY, RIGID_MOTION, SEGMENTATION_OFFSET],
     ids=lambda e: e.name,
 )
-def test_effects_that_ship_pass(effect: Any) -> None:
+def test_built_in_effects_pass(effect: Any) -> None:
     check_effect(effect)
 
 
@@ -56,17 +56,17 @@ def test_an_effect_is_checked_on_the_problem_that_it_acts_on() -> None:
     ],
     ids=lambda law: type(law).__name__,
 )
-def test_laws_that_ship_pass(law: Any) -> None:
+def test_built_in_laws_pass(law: Any) -> None:
     check_law(law)
 
 
 @pytest.mark.parametrize("score", [GSF, JACCARD, HAUSDORFF], ids=lambda s: s.name)
-def test_scores_that_ship_pass(score: Objective) -> None:
+def test_built_in_scores_pass(score: Objective) -> None:
     check_score(score)
 
 
 @pytest.mark.parametrize("strategy", [GENETIC, CMA, LEAST_SQUARES, POLISHED], ids=lambda s: s.name)
-def test_strategies_that_ship_pass(strategy: Strategy) -> None:
+def test_built_in_strategies_pass(strategy: Strategy) -> None:
     check_search(strategy)
 
 

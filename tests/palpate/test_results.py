@@ -111,7 +111,7 @@ def test_public_objects_have_short_repr(folders: Folders) -> None:
 
 
 def measured() -> palpate.Diagnosis:
-    """A diagnosis of a bench test with many markers, every part filled."""
+    """A diagnosis of a bench test with many markers, with every part of the record filled."""
     made = found(VERDICTS["not told apart"])
     three = (1.0, 2.0, 3.0)
     points = (MarkerResidual("M", three, three, three),) * 40
@@ -132,7 +132,7 @@ def measured() -> palpate.Diagnosis:
 
 
 def parts(name: str, value: Any, deep: int = 4) -> Iterator[tuple[str, Any]]:
-    """Yield the project's objects reachable from one by public attributes."""
+    """Yield the project's objects reachable from an object through public attributes."""
     if isinstance(value, dict | tuple | list):
         items = value.items() if isinstance(value, dict) else enumerate(value[:3])
         for key, one in items:

@@ -24,7 +24,7 @@ def followed(search: palpate.Search) -> list[dict[str, float]]:
     return seen
 
 
-def test_examples() -> None:
+def test_docstring_example_runs() -> None:
     found = doctest.testmod(palpate.search)
     assert found.attempted > 0
     assert found.failed == 0

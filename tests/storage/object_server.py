@@ -62,7 +62,7 @@ def _one_write_at_a_time(app: Any) -> Any:
 
 
 def _steady_port() -> int:
-    """Return a free port that the system assigns to nobody else: it stays free after a stop."""
+    """Return a free port that the system never assigns, so it stays free after a stop."""
     while True:
         port = random.randrange(20000, 30000)
         with socket.socket() as probe:

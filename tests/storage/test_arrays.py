@@ -36,7 +36,7 @@ MANY = {
 }
 
 
-def test_group_of_all_kinds_round_trips_bit_for_bit(tmp_path):
+def test_arrays_of_all_types_round_trip_bit_for_bit(tmp_path):
     meta = {"facts": {"nodes": 11, "gsf": -math.inf}, "word": "inf", "list": [1, 2.5, None]}
     save_arrays(tmp_path / "m.zarr", MANY, meta)
     arrays, read = load_arrays(tmp_path / "m.zarr")

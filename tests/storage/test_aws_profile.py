@@ -62,7 +62,9 @@ def test_profile_is_read_from_both_files(
     assert read_profile() == profile
 
 
-def test_other_paths_and_changed_files(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_at_other_paths_are_read_again_when_changed(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     other = home / "keys"
     monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(other))
     monkeypatch.setenv("AWS_CONFIG_FILE", "~/nothing-there")

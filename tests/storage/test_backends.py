@@ -1,4 +1,4 @@
-"""One contract for every kind of store: a local folder, a bucket.
+"""One contract for every kind of store: local folders and buckets.
 
 An object with a name is complete, if two writers use the same name one of them wins, and data are
 read back bit for bit.

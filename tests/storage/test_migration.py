@@ -13,7 +13,7 @@ from palpate.storage.upkeep.migration import migrate
 
 @pytest.fixture(params=["folder", "bucket"])
 def old(request, tmp_path, monkeypatch) -> Store:
-    """A store of schema 1, while the current one is 3."""
+    """A store with schema 1, when the current one is 3."""
     folder = request.param == "folder"
     place = str(tmp_path / "store") if folder else request.getfixturevalue("bucket") + "/store"
     store = open_store(place)

@@ -1,4 +1,4 @@
-"""An inconsistent record cannot be made; a consistent one survives the journal."""
+"""An inconsistent record cannot be created; a consistent one round-trips through the journal."""
 
 import json
 import math
@@ -99,7 +99,7 @@ def test_study_round_trips():
         (LOST, {"status": "running"}, "is not an ending"),
     ],
 )
-def test_refuses_contradictions(base, wrong, message):
+def test_refuses_inconsistent_records(base, wrong, message):
     with pytest.raises(JournalError, match=message):
         EvaluationRecord(**base | wrong)
 

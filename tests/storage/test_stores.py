@@ -175,7 +175,7 @@ def test_name_cannot_escape_its_folder(tmp_path, name):
             place(name)
 
 
-def test_paths_of_a_study(tmp_path):
+def test_study_files_have_fixed_names(tmp_path):
     layout = StudyLayout(tmp_path)
     names = [p.name for p in (layout.study, layout.journal, layout.report)]
     assert names == ["study.yaml", "journal.jsonl", "report.html"]

@@ -75,7 +75,7 @@ def test_view_of_a_volume_is_stored_correctly(store):
     assert read.flags.c_contiguous
 
 
-def test_several_chunks_along_every_axis(store):
+def test_volume_with_several_chunks_along_every_axis_round_trips(store):
     values = np.random.default_rng(0).integers(0, 6, (130, 129, 257), dtype=np.uint8)
     save_volume(store, "v", Volume(values, (0.25, 0.25, 0.25)))
     assert same_bits(load_volume(store, "v").values, values)

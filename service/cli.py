@@ -54,7 +54,7 @@ COMMANDS = {
     ),
     "evaluate": LazyCommand(
         "studies.evaluate:evaluate",
-        "Evaluate a table or a design of candidates of a study.",
+        "Evaluate a table or a design of candidates for a study.",
     ),
     "profile": LazyCommand(
         "studies.profile:profile", "Show how well the image is fitted as one constant varies."
@@ -79,7 +79,7 @@ COMMANDS = {
         "studies.parameters:parameters", "List an organ's constants and effects for study files."
     ),
     "schema": LazyCommand(
-        "studies.schema:schema", "Print the keys of a file as JSON schema, with meanings."
+        "studies.schema:schema", "Print the keys of a file, with their meanings, as JSON schema."
     ),
     "fit-law": LazyCommand(
         "studies.fit_law:fit_law", "Fit material laws to stress-stretch tables of one material."
@@ -153,7 +153,7 @@ def _options(
     ] = False,
     log_level: Annotated[
         Level | None,
-        typer.Option(help="Show log messages from this level on.", show_default=False),
+        typer.Option(help="Show log messages of this level and above.", show_default=False),
     ] = None,
 ) -> None:
     set_verbosity(quiet=quiet, level=log_level or ("info" if verbose else None))

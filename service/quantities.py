@@ -48,7 +48,7 @@ def quantities_inside(
 def not_neutral(
     vocabulary: Vocabulary, constants: Mapping[str, float], stated: Collection[str] = ()
 ) -> dict[str, float]:
-    """Return the constants that are stated or differ from their neutral values.
+    """Return the constants that are given or differ from their neutral values.
 
     Parameters
     ----------

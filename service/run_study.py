@@ -83,7 +83,7 @@ def run_study(
     Interrupted
         If the user asks to stop; completed evaluations are saved.
     PalpateError
-        As `service.study.loop.Study.run`.
+        As in `service.study.loop.Study.run`.
     """
     if study.ended:
         return None

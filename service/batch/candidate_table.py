@@ -35,7 +35,9 @@ def read_table(path: Path) -> dict[str, Sequence[Any]]:
         raise InputError(f"{path} cannot be read as text: {error}.") from error
     lines = [line for line in csv.reader(text.lstrip("\ufeff").splitlines()) if line]
     if not lines:
-        raise InputError(f"{path} is empty: expected a heading such as E_fat_kpa and rows.")
+        raise InputError(
+            f"{path} is empty: expected a heading, such as E_fat_kpa, and rows of values."
+        )
     heading = [name.strip() for name in lines[0]]
     for number, line in enumerate(lines[1:], 1):
         if len(line) != len(heading):
@@ -85,8 +87,8 @@ def _rows(table: Any) -> Iterable[Mapping[str, Any]]:
         if all(isinstance(row, Mapping) for row in rows):
             return rows
     raise InputError(
-        f"A table is a mapping of columns, a list of mappings, a NumPy array with named fields or "
-        f"a pandas table; found {type(table).__name__}."
+        "A table must be a mapping of columns, a list of mappings, a NumPy array with named "
+        f"fields or a pandas table; found {type(table).__name__}."
     )
 
 

@@ -58,10 +58,9 @@ class Evaluations:
     def columns(self) -> dict[str, NDArray[Any]]:
         """The table as arrays of equal length.
 
-        The constants as given; ``status`` (done, diverged, crashed or lost) and
-        ``reason``; ``gsf``, ``jc`` and ``mhd_mm``, and the score that the study optimises where it
-        is another one, NaN without a score; ``seconds`` of computation; ``reused``, whether the
-        store had the evaluation already.
+        The constants as given; ``status`` (done, diverged, crashed or lost) and ``reason``;
+        ``gsf``, ``jc``, ``mhd_mm`` and any other score that the study optimises, NaN without a
+        score; ``seconds`` of computation; ``reused``, whether the store already had the evaluation.
         """
         names = dict.fromkeys(name for record in self.records for name in record.genes)
         found: dict[str, NDArray[Any]] = {
@@ -111,7 +110,7 @@ class Evaluations:
         InputError
             If the suffix is neither, or pyarrow is missing for Parquet.
         StoreError
-            If the file system refuses.
+            If the file cannot be written.
         """
         path = Path(path)
         check_table_suffix(path)
@@ -130,12 +129,12 @@ class Evaluations:
 
 
 def check_table_suffix(path: Path) -> None:
-    """Refuse a path to which a table cannot be written.
+    """Raise an error for a path to which a table cannot be written.
 
     Raises
     ------
     InputError
-        If its suffix is neither .csv nor .parquet, its folder is missing, or pyarrow is.
+        If its suffix is neither .csv nor .parquet, or its folder or pyarrow is missing.
     """
     if path.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(

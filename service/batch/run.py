@@ -157,7 +157,7 @@ def _was_reused(result: Mapping[str, Any] | None) -> bool:
 
 
 def _prepared(plan: BatchPlan, runner: TaskRunner, hooks: Hooks, tasks: Tasks) -> StudyWork:
-    """Prepare case and target in the store; quick if they are there already."""
+    """Prepare case and target in the store; quick if they are already there."""
     store, spec = open_store(plan.store), plan.spec
     facts = StudyFacts(
         name=spec.name,

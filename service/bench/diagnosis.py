@@ -2,8 +2,8 @@
 
 The tasks run one after another in this process, as they would on one worker; each phase ends
 before the next begins. With N workers the tasks of a phase are assigned in order, each to the
-first free worker, and a phase takes as long as its last worker: a bound for any schedule without
-knowledge of the times (R. L. Graham, SIAM J. Appl. Math. 17 (1969) 416). The overhead of a
+first free worker, and a phase takes as long as its last worker: a bound for any schedule made
+without knowing the times (R. L. Graham, SIAM J. Appl. Math. 17 (1969) 416). The overhead of a
 cluster is not included: starting, sending, and data loaded by each worker.
 """
 
@@ -28,7 +28,7 @@ class PhaseTimes:
     seconds: tuple[float, ...]
 
     def on(self, workers: int) -> float:
-        """Return the duration on a number of workers, in s."""
+        """Return the duration on a given number of workers, in s."""
         free = [0.0] * workers
         for seconds in self.seconds:
             heapq.heapreplace(free, free[0] + seconds)
@@ -75,5 +75,5 @@ def measure_diagnosis(
 
 
 def projected(phases: Sequence[PhaseTimes], workers: int) -> float:
-    """Return the duration of all phases on a number of workers, in s."""
+    """Return the duration of all phases on a given number of workers, in s."""
     return sum(phase.on(workers) for phase in phases)

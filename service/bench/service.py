@@ -114,7 +114,7 @@ def soak(evaluations: int, folder: Path, workers: int = 2) -> Soak:
 
 
 def all_rows(evaluations: int) -> Iterator[dict[str, Any]]:
-    """Yield every measurement: the soak, two workers, and 12 and 96 in either mode."""
+    """Yield every measurement: the soak, two workers, and 12 and 96 workers in either mode."""
     with tempfile.TemporaryDirectory(prefix="palpate-bench-") as folder:
         soaked = soak(evaluations, Path(folder))
     yield {
@@ -159,7 +159,7 @@ def busy(
     *,
     mode: str = "barrier",
 ) -> Busy:
-    """Run a study of sleeping tasks on a number of workers.
+    """Run a study of sleeping tasks on a given number of workers.
 
     Up to `MOST_PROCESSES` are processes; more are threads of one worker, since they only sleep.
     """

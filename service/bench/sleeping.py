@@ -96,7 +96,7 @@ def compare(case: Record, store: str, target: str, candidate: str, score: Record
 
 
 def level(case: Record, prepared: Record, target: str, *where: object) -> Any:
-    """Return the same at any resolution."""
+    """Return the same names at any resolution."""
     return {"case": case, "prepared": prepared, "target": target}
 
 

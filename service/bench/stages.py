@@ -1,10 +1,10 @@
 """Benchmarks of the time and memory of each stage, each in a separate process.
 
 A stage first runs on a tiny body, so that loading compiled kernels is not timed, then at the
-requested size; the solver reports the fastest of three runs. Some stages are reported as
-ratios: derivatives to their solution, an unknown of a large mesh to one of the mesh before,
-two concurrent solutions to one alone. Peak memory is measured for the process; it includes
-about 0.25 GB for Python and the libraries.
+requested size; the solver reports the fastest of three runs. Some stages are reported as ratios:
+derivatives to their solution, the time per unknown to the time on the next smaller mesh, two
+concurrent solutions to a single one. Peak memory is measured for the process; it includes about
+0.25 GB for Python and the libraries.
 """
 
 import json
@@ -114,7 +114,7 @@ def _compared(row: Row, other: Row, stage: str, over: str) -> Row:
 
 
 def per_unknown(solve: Row, before: Row | None) -> Row:
-    """Return the time per unknown, three per node, and its ratio to the mesh `before`."""
+    """Return the time per unknown (three per node), and its ratio to the time on mesh `before`."""
     assert solve.nodes is not None
     seconds = solve.seconds / (3 * solve.nodes)
     row = replace(solve, stage="unknown", seconds=seconds, peak_mb=None)
@@ -135,7 +135,7 @@ def scheduler_overhead(tasks: int = TRIVIAL_TASKS) -> Row:
 
 
 def nothing(number: int) -> dict[str, int]:
-    """Do no work."""
+    """Do nothing."""
     return {"number": number}
 
 

@@ -1,7 +1,7 @@
 """Benchmarks of strategies on the same targets: evaluations and core-seconds to given errors.
 
 Each target is a compressed body whose constants are hidden from the search. Its study runs to
-completion in one process and counts CPU seconds; an interrupted one is resumed.
+completion in one process and counts CPU seconds; an interrupted study is resumed.
 """
 
 import signal
@@ -113,7 +113,7 @@ class Reached:
 def targets(count: int) -> list[dict[str, float]]:
     """Return the constants of the targets: a Latin hypercube in the logarithms.
 
-    Fewer than ten are a subset of the ten.
+    Fewer than ten targets are a subset of the ten.
     """
     rng, strata = np.random.default_rng(SEED), max(count, TEN)
     found: list[dict[str, float]] = [{} for _ in range(strata)]
@@ -126,10 +126,10 @@ def targets(count: int) -> list[dict[str, float]]:
 
 
 class OneCore(SingleProcess):
-    """A single process that reports CPU seconds, which other processes do not lengthen."""
+    """A single process that reports CPU seconds, which other processes do not affect."""
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
-        """Run tasks that may fail, see `SingleProcess.run`."""
+        """Run tasks that may fail; see `SingleProcess.run`."""
         for call in calls:
             began = time.process_time()
             for ending in super().run(task, [call]):
@@ -137,7 +137,7 @@ class OneCore(SingleProcess):
 
 
 def _with_seconds(ending: Ending, core_s: float) -> Ending:
-    """Scale the stages of an evaluation computed now to a total of `core_s`."""
+    """Scale the stage times of a new evaluation to a total of `core_s`."""
     value = ending.value
     if not isinstance(value, Mapping) or value.get("reused") or not value.get("seconds"):
         return ending
@@ -182,7 +182,7 @@ def study_of(strategy: str, target: int, constants: Mapping[str, float], bench: 
         population=_population(strategy) if few else "",
         seed=target + 1,
     )
-    return parse_spec(text, "the bench of strategies", Path())
+    return parse_spec(text, "the benchmark of strategies", Path())
 
 
 def measure(
@@ -257,7 +257,7 @@ def reached(home: Path, strategy: str, target: int, constants: Mapping[str, floa
 def _improvements(
     order: Sequence[EvaluationRecord], constants: Mapping[str, float]
 ) -> tuple[Improvement, ...]:
-    """Return every new best candidate, in the order of the candidates."""
+    """Return every new best candidate, in candidate order."""
     found: list[Improvement] = []
     so_far, before, core_s = BestSoFar(), None, 0.0
     for i, record in enumerate(order):
@@ -273,7 +273,7 @@ def _improvements(
 
 
 def near_from(improvements: Sequence[Improvement]) -> Improvement | None:
-    """Return the improvement after which the best candidate stays near in both moduli."""
+    """Return the improvement after which the best candidate stays close in both moduli."""
     near = None
     for one in improvements:
         if one.error > NEAR:

@@ -28,7 +28,7 @@ LEAST_ERROR = 1e-5
 
 
 def write_chart(rows: Sequence[Reached], path: Path) -> None:
-    """Write the chart to a separate file, on white."""
+    """Write the chart to a separate file, on a white background."""
     write_file(path, svg(strategy_chart(rows)).encode())
 
 
@@ -44,7 +44,7 @@ def strategy_chart(rows: Sequence[Reached]) -> "Figure":
         for column, over in enumerate(("evaluations", "core_s")):
             for line, value in enumerate(("gsf", "error")):
                 _curves(grid[line, column], own, over, value, colour, strategy)
-    titles = ("evaluations", "seconds of one core")
+    titles = ("evaluations", "CPU seconds of one core")
     for column, title in enumerate(titles):
         grid[1, column].set_xlabel(title, fontsize=TEXT_PT)
         for axes in grid[:, column]:

@@ -233,7 +233,7 @@ def _security() -> Security | None:
     except OSError as error:
         raise ClusterError(
             f"A certificate cannot be read: {error}. Check the paths in "
-            "DASK_DISTRIBUTED__COMM__TLS__...; `palpate certs` makes certificates."
+            "DASK_DISTRIBUTED__COMM__TLS__...; `palpate certs` creates certificates."
         ) from error
     return security if all(contexts) else None
 

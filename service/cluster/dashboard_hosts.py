@@ -23,7 +23,7 @@ REFUSAL = b"This dashboard answers to localhost only.\n"
 
 
 def answer_to_own_hosts(scheduler: Scheduler, hosts: Iterable[str] = OWN) -> None:
-    """Make the HTTP server of a scheduler refuse requests for other hosts."""
+    """Make the HTTP server of a scheduler reject requests for other hosts."""
     server: Any = scheduler.http_server
     server.request_callback = _OwnHosts(server.request_callback, frozenset(hosts))
 

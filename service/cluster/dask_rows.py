@@ -67,7 +67,7 @@ class StudyRow:
     begun : tuple of float
         Idle and total seconds at the start of the generation.
     computed : bool
-        Whether anything of the generation was computed; if not, it has no idle time to report.
+        Whether any candidate of the generation was computed; if not, it has no idle time to report.
     """
 
     name: str

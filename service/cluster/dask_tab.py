@@ -37,7 +37,7 @@ def add_tab(client: Client) -> bool:
     try:
         client.register_plugin(PalpateTab())
     except Exception as error:  # another version of Dask may raise anything
-        _log.info("The dashboard of Dask has no tab of Palpate: %r", error)
+        _log.info("Dask's dashboard has no Palpate tab: %r", error)
         return False
     return True
 
@@ -106,7 +106,7 @@ class PalpateTab(SchedulerPlugin):
 
 
 def _put_last(rows: dict[str, Row], key: str, row: Row) -> None:
-    """Append a row, which is shown first, and drop the oldest of too many."""
+    """Append a row, which is shown first, and drop the oldest if there are too many."""
     rows.pop(key, None)
     rows[key] = row
     if len(rows) > MOST_ROWS:
@@ -146,7 +146,7 @@ def _add_page(tab: PalpateTab, scheduler: Scheduler) -> None:
 def _document(
     tab: PalpateTab, look: dict[str, Any], scheduler: Scheduler, variables: dict[str, Any], doc: Any
 ) -> None:
-    """Fill the document of a visitor, and refresh it every `RENEW_MS`."""
+    """Fill the document for a visitor, and refresh it every `RENEW_MS`."""
     from bokeh.layouts import column
     from bokeh.models import ColumnDataSource
 

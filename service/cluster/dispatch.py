@@ -11,7 +11,7 @@ Endings of a submission::
                                       time alone; then lost
     forgotten by the scheduler        submitted again, any number of times
 
-An error of the store (a full disk, another version) is unrelated to the candidate: it is
+A store error (a full disk, another version) is unrelated to the candidate: it is
 raised here and stops the study.
 """
 

@@ -21,7 +21,7 @@ SAFE_PATH = "PYTHONSAFEPATH"
 
 @contextmanager
 def forked_workers(scheduler: str | None, *modules: str) -> Iterator[None]:
-    """Start importing modules; clusters opened within this context use workers that have them.
+    """Start importing modules; workers of clusters opened within this context have them loaded.
 
     Only on Linux: elsewhere system libraries do not survive a fork, and workers are spawned.
 
@@ -63,7 +63,7 @@ def _safe_path() -> Iterator[None]:
 
 @contextmanager
 def unheard_interrupts() -> Iterator[None]:
-    """Block Ctrl-C in processes started within this context; it reaches ours afterwards.
+    """Block Ctrl-C in processes started within this context; it reaches this process afterwards.
 
     A terminal sends SIGINT to all processes of a command, but only the driver should respond.
     Threads and processes inherit the signal mask, including workers restarted later.

@@ -13,12 +13,12 @@ from palpate.storage.errors import InputError
 
 
 def check_main_guard() -> None:
-    """Refuse to start workers from the unguarded top level of a script.
+    """Raise an error if the unguarded top level of a script starts workers.
 
     Raises
     ------
     InputError
-        With the two lines to add to the script.
+        If it does; the message gives the two lines to add to the script.
     """
     main = sys.modules.get("__main__")
     script = _script_of(main)

@@ -66,9 +66,9 @@ SAFE_PATH_SETTING = {f"distributed.nanny.pre-spawn-environ.{SAFE_PATH}": "1"}
 class _SteadyCluster(LocalCluster):
     """A local cluster that survives workers that come and go quickly or die while starting.
 
-    Dask's own fails with a KeyError at the end of a worker that it never knew or has forgotten,
-    and again when it is closed. A worker that dies is restarted by its nanny; a nanny that
-    fails is not restarted, and its failure ends a cluster that is still starting.
+    Dask's own cluster fails with a KeyError when a worker ends that it never knew or has forgotten,
+    and again when it is closed. A worker that dies is restarted by its nanny; a nanny that fails is
+    not restarted, and its failure ends a cluster that is still starting.
     """
 
     failure = ""
@@ -85,7 +85,7 @@ class _SteadyCluster(LocalCluster):
 
     @property
     def has_workers(self) -> bool:
-        """Return True if there is a worker that has not been given up."""
+        """Return True if Dask has not given up all workers."""
         return any(worker.status not in GIVEN_UP for worker in self.workers.values())
 
     def forget_given_up(self) -> bool:
@@ -207,7 +207,7 @@ def _existing(address: str, connect_s: float) -> Iterator[Cluster]:
 
 
 def _check_encryption(address: str) -> None:
-    """Refuse an address that does not match Dask's TLS configuration.
+    """Raise an error if an address does not match Dask's TLS configuration.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def _check_encryption(address: str) -> None:
         except OSError as error:
             raise ClusterError(
                 f"A certificate for {address} cannot be read: {error}. Check the paths in "
-                "DASK_DISTRIBUTED__COMM__TLS__...; `palpate certs` makes certificates."
+                "DASK_DISTRIBUTED__COMM__TLS__...; `palpate certs` creates certificates."
             ) from error
         if context is None:
             raise ClusterError(
@@ -290,7 +290,7 @@ def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
 
 @contextmanager
 def _restored_environment() -> Iterator[None]:
-    """Restore afterwards the environment that Palpate and Dask change for the workers."""
+    """Restore the environment after Palpate and Dask have changed it for the workers."""
     before = {name: os.environ.get(name) for name in (*WORKER_ENVIRONMENT, SAFE_PATH)}
     try:
         yield
@@ -336,7 +336,7 @@ def _start_advice() -> str:
 
 @contextmanager
 def _mended(cluster: _SteadyCluster) -> Iterator[None]:
-    """Replace workers that Dask has given up, for instance after a restart without memory."""
+    """Replace workers that Dask has given up, for instance after a restart ran out of memory."""
     mending = PeriodicCallback(cluster.mend, 1000 * MEND_EVERY_S)
     cluster.loop.add_callback(mending.start)
     try:

@@ -64,7 +64,7 @@ class WaitingCalls:
 
 
 class Patience:
-    """The times of the last ending and of the last sight of a worker."""
+    """The times when a task last ended and when a worker was last present."""
 
     def __init__(self) -> None:
         self.ended = self.worked = time.monotonic()

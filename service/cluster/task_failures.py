@@ -34,7 +34,7 @@ def scheduler_gone(what: str) -> ClusterError:
 
 
 def raise_if_store(error: BaseException) -> None:
-    """Raise errors that say nothing about a task: an unusable store, a full disk.
+    """Raise errors that are unrelated to the task: an unusable store, a full disk.
 
     Raises
     ------

@@ -66,7 +66,7 @@ def read_workers(text: str, option: str = "--workers ") -> Workers:
             f"{option.rstrip(' =')} must be at least 1, got {text}: one worker is always kept."
         )
     if most < least:
-        raise InputError(f"{option}{text}: the least comes first, so {most}-{least}.")
+        raise InputError(f"{option}{text}: give the smaller number first: {most}-{least}.")
     return least if most == least else WorkerRange(least, most)
 
 

@@ -1,1 +1,1 @@
-"""Commands, one a file; heavy imports are deferred to the call, so that help is fast."""
+"""Commands, one per file; heavy imports are deferred to the call, so that help is fast."""

@@ -23,7 +23,7 @@ def interrupted() -> typer.Exit:
 
 @contextmanager
 def interruptible() -> Iterator[list[int]]:
-    """Stop the enclosed work at Ctrl-C or SIGTERM; exit with 130 and print how to continue."""
+    """Stop the enclosed work on Ctrl-C or SIGTERM; exit with 130 and print how to continue."""
     with stop_requests() as requests:
         try:
             yield requests

@@ -1,4 +1,4 @@
-"""The study named by a user, and the constants stated for it."""
+"""The study named by a user, and the constants given for it."""
 
 from pathlib import Path
 

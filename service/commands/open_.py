@@ -22,7 +22,7 @@ def open_(study: StudyArgument = None) -> None:
     page = _page(find_study(study))
     typer.echo(f"page: {page}")
     if not _shown(page):
-        typer.echo("No browser was found: open this file in one.", err=True)
+        typer.echo("No browser was found: open this file yourself.", err=True)
 
 
 def _page(folder: Path) -> Path:

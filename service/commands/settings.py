@@ -1,4 +1,4 @@
-"""Settings of options that are not given: from the environment, then defaults.
+"""Values of options that are not given: from the environment, else defaults.
 
 ::
 

@@ -27,7 +27,7 @@ def progress_console(*, stderr: bool = True) -> Console:
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """Return a console without line wrapping, which terminals do and pipes must not."""
+    """Return a console that leaves line wrapping to the terminal, so pipes get whole lines."""
     return Console(stderr=stderr, highlight=False, markup=False, emoji=False, soft_wrap=True)
 
 

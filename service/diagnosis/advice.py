@@ -16,7 +16,7 @@ def undecided(summary: Summary) -> bool:
 
 
 def next_acquisitions(summary: Summary, plan: PlanSummary) -> tuple[NextAcquisition, ...]:
-    """Rank the measurements tried in a plan, the most decisive first.
+    """Rank the measurements evaluated in a plan, the most decisive first.
 
     The criteria are the number of pairs in the 90 % set that are distinguished, then the number
     of absorbed effects that are revealed, then the order of the plan.

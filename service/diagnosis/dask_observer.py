@@ -56,7 +56,7 @@ def run_and_tell(
     Raises
     ------
     PalpateError, Interrupted
-        As `run`.
+        As in `run`.
     """
     records = DiagnosisRecords(dispatcher.client, place)
 

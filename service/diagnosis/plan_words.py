@@ -107,7 +107,7 @@ def gain(acquisition: FurtherMeasurement) -> str:
     if acquisition.separates:
         pairs = ["{} from {}".format(*map(spoken, pair)) for pair in acquisition.separates]
         said.append(f"separates {listed(pairs)}")
-    return "; ".join(said) or "nothing more distinguished"
+    return "; ".join(said) or "no further pairs distinguished"
 
 
 def _best(plan: PlanSummary) -> str:
@@ -115,5 +115,5 @@ def _best(plan: PlanSummary) -> str:
         return ""
     first = plan.acquisitions[0]
     if first.more_told_apart <= 0:
-        return "None of the further measurements tried would distinguish more pairs."
+        return "None of the further measurements considered would distinguish more pairs."
     return f"The most informative would be {first.name}: {gain(first)}."

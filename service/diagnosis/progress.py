@@ -27,7 +27,7 @@ _PHASES = {
 
 
 class DiagnosisProgress:
-    """A line for each step and during long steps; on a terminal also a spinner.
+    """A line for each step, repeated during long ones; on a terminal, also a spinner.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A diagnosis from its source to its outcome: tasks are sent until none is wanted.
+"""A diagnosis from its source to its outcome: tasks are sent until no more are needed.
 
 Every step is a task that stores its result under the digest of everything it depends on.
 Running a diagnosis and continuing an interrupted one are the same.
@@ -51,7 +51,7 @@ class Step:
     done, of : int
         Completed tasks of the phase, and all of them; 0 when it begins.
     task : str
-        Subject of the last one: "plate_tilt with friction". Empty when the phase begins.
+        Subject of the last task: "plate_tilt with friction". Empty when the phase begins.
     record : object
         Its result.
     """
@@ -147,7 +147,7 @@ def request_for(
 
 
 def with_caveats(diagnosis: FinishedDiagnosis, caveats: tuple[str, ...]) -> FinishedDiagnosis:
-    """Return a diagnosis with these statements added first."""
+    """Return a diagnosis with these caveats added first."""
     summary = replace(diagnosis.summary, caveats=caveats or None)
     return replace(diagnosis, summary=summary)
 

@@ -201,7 +201,7 @@ def millimetres(gap: Interval | None) -> str:
 def length(mm: float, beside: float | None = None) -> str:
     """Return a length in mm with two decimals.
 
-    If it or the length next to it is smaller than that, with two significant digits.
+    If it or the length shown next to it is smaller than that, with two significant digits.
 
     Examples
     --------
@@ -244,14 +244,14 @@ def _is_sure(summary: Summary, name: str) -> bool:
 
 
 def noise(summary: Summary) -> str:
-    """Return a note on noise stated too small or too large, or uneven; empty if neither."""
+    """Return a note on noise that is set too small or too large, or is uneven; else empty."""
     said = []
     for one in summary.noise or ():
         ratio = one.learnt_mm / one.stated_mm if one.stated_mm > 0 else 1.0
         if max(ratio, 1 / ratio) > SETTINGS.noise.misstated:
             wrong = "small" if ratio > 1 else "large"
             said.append(
-                f"The noise of the {one.interface} interface is stated too {wrong}: "
+                f"The noise of the {one.interface} interface is set too {wrong}: "
                 f"{one.stated_mm:.2f} mm, but its residuals show {one.learnt_mm:.2f} mm."
             )
         least, most = one.least_mm or one.learnt_mm, one.most_mm or one.learnt_mm

@@ -38,7 +38,7 @@ def export_calculix(path: Path, model: SolverModel) -> None:
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     numbers = count(len(model.tets) + 1)
     parts = (
@@ -61,7 +61,7 @@ def _header(path: Path, model: SolverModel) -> Iterator[str]:
         model.title,
         "Units: mm, N, MPa.",
         "Constants: " + ", ".join(f"{k} = {v:g}" for k, v in model.constants.items() if v),
-        f"Run it: ccx -i {path.stem}. Displacements go to {path.stem}.dat and {path.stem}.frd.",
+        f"To run it: ccx -i {path.stem}. Displacements go to {path.stem}.dat and {path.stem}.frd.",
         *model.remarks,
         *_notes_on_fibres(model),
     ]

@@ -35,7 +35,7 @@ def export_febio(path: Path, model: SolverModel) -> None:
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     model = _without_springs(model)
     root = Xml.Element("febio_spec", version="4.0")

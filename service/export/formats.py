@@ -61,7 +61,7 @@ def export_solved(paths: Iterable[Path], body: SolvedBody, *, as_told: bool = Fa
     InputError
         If a suffix is unknown, or the simplified body cannot be solved.
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     exporters = [(path, exporter_of(path)) for path in paths]
     simplified = as_told or any(exporter.simplified for _, exporter in exporters)

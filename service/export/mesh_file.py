@@ -71,7 +71,7 @@ def export_solved_mesh(path: Path, body: SolvedBody) -> None:
     InputError
         If the suffix is unknown.
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     model = body.level.model
     tissue = model.fractions.argmax(axis=1).astype(np.int32)

@@ -32,7 +32,7 @@ def export_movie(path: Path, body: SolvedBody) -> None:
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     scene = _Scene(body)
     writer = PillowWriter(fps=PER_SECOND)

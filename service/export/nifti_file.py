@@ -34,7 +34,7 @@ def export_nifti(path: Path, volume: Volume, names: Mapping[int, str]) -> None:
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     values = np.asarray(volume.values)
     if values.dtype.kind in "biu":  # NIfTI programs rarely read 64-bit labels

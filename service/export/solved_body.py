@@ -93,7 +93,7 @@ def solve_body(
         Location of the store, which keeps body and mesh.
     title : str
     target : mapping, optional
-        In the format of `TargetSpec`. Plates at a distance are placed as in an imaged target.
+        In the format of `TargetSpec`. Plates at a given distance are placed as in an imaged target.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def _solve(setup: Setup, problem: Problem) -> Equilibrium:
     outcome = solved.solution.outcome
     if not outcome.converged:
         raise InputError(
-            f"There is nothing to export, the simulation diverged: {outcome.reason}. Choose other "
-            "constants, a smaller load or another mesh."
+            f"There is nothing to export because the simulation diverged: {outcome.reason}. "
+            "Choose other constants, a smaller load or another mesh."
         )
     return solved

@@ -5,8 +5,8 @@ displacement from our solution, only along the plate's normal if plates are flat
 axis and frictionless (it is then free tangentially), and otherwise in all three components. Both
 solvers then compute the rest of the body.
 
-Features that other solvers lack are removed from our model, too, see `comparable`; the header of
-the file states how far that moves the nodes.
+Features that other solvers lack are also removed from our model, see `comparable`; the header of
+the file gives the distance by which that moves the nodes.
 """
 
 from collections.abc import Mapping

@@ -35,7 +35,7 @@ def export_volume(path: Path, volume: Volume, names: Mapping[int, str] | None = 
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     named = _names_present(volume, names or {})
     if suffix_of(path, VOLUME_SUFFIXES) in NIFTI_SUFFIXES:

@@ -30,7 +30,7 @@ def suffix_of(path: Path, known: tuple[str, ...]) -> str:
 
 
 def check_suffix(path: Path | None, known: tuple[str, ...], option: str = "--out ") -> None:
-    """Refuse an unsupported file name before anything is computed.
+    """Reject an unsupported file name before anything is computed.
 
     Raises
     ------
@@ -42,7 +42,8 @@ def check_suffix(path: Path | None, known: tuple[str, ...], option: str = "--out
     suffix = suffix_of(path, known)
     if suffix not in known:
         raise InputError(
-            f"{option}{path}: {suffix or 'no suffix'} is not known, use one of {', '.join(known)}."
+            f"{option}{path}: {suffix or 'no suffix'} is not supported; use one of "
+            f"{', '.join(known)}."
         )
     if not path.parent.is_dir():
         raise InputError(f"{option}{path}: the folder {path.parent} does not exist; create it.")

@@ -28,7 +28,7 @@ def export_surface(path: Path, nodes: FloatArray, triangles: IntArray) -> None:
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     corners = nodes[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

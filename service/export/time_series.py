@@ -27,7 +27,7 @@ def export_series(path: Path, body: SolvedBody) -> None:
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     folder = path.with_suffix("")
     with explained(folder):

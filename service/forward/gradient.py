@@ -34,8 +34,8 @@ def displacement_gradient(
     value : float
         The constant at the equilibrium, in internal units.
     follows_path : bool
-        Whether this constant, like friction, makes the solution depend on the load path. If so,
-        it is solved again on both sides; otherwise a linear solve is enough.
+        Whether this constant, like friction, makes the solution depend on the load path. If so, the
+        problem is solved again on both sides; otherwise a linear solve is enough.
 
     Returns
     -------
@@ -45,7 +45,7 @@ def displacement_gradient(
     Raises
     ------
     InputError
-        If the simulation, or one next to it, did not converge.
+        If the simulation, or a nearby one, did not converge.
     """
     ahead, behind = either_side(parameter, value, PATH_STEP if follows_path else STEP)
     per_unit = parameter.unit.to_inside(1.0)
@@ -58,7 +58,7 @@ def displacement_gradient(
 
 
 def either_side(parameter: Parameter, value: float, step: float) -> tuple[float, float]:
-    """Return admissible values above and below another one, or itself at a bound.
+    """Return admissible values above and below a value, or the value itself at a bound.
 
     Examples
     --------

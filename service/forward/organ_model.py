@@ -58,7 +58,7 @@ class OrganModel:
         Raises
         ------
         InputError
-            If it is not; the message has every reason.
+            If it is not; the message lists every reason.
         """
         imaged = self._given is not None or self.organ.body_files(self.case.reference)
         found = case_findings(self.case, self.body if imaged else None)

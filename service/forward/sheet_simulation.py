@@ -26,7 +26,7 @@ class LoadedSheet:
     vocabulary : Vocabulary
         The constants of the model.
     complete : callable
-        Maps stated constants to all of them, in internal names and units.
+        Maps the given constants to all of them, in internal names and units.
     problem : callable
         Maps all constants to the problem.
     """
@@ -37,7 +37,7 @@ class LoadedSheet:
     problem: Callable[[Mapping[str, float]], Problem]
 
     def solved(self, stated: Mapping[str, float]) -> SheetEquilibrium:
-        """Return the equilibrium for stated constants."""
+        """Return the equilibrium for the given constants."""
         return equilibrium(self.model, self.problem(self.complete(stated)))
 
     def simulate(self, stated: Mapping[str, float]) -> "SheetSimulation":
@@ -88,12 +88,12 @@ class SheetSimulation:
     nodes_mm : ndarray, shape (n, 3)
         Nodes at rest (x, y, z), at z = 0.
     triangles : ndarray of int32, shape (m, 6)
-        Three corners and the middles of the edges 01, 12 and 20.
+        Three corners and the midpoints of the edges 01, 12 and 20.
     displacement_mm : ndarray, shape (n, 3)
     outcome : mapping of str to object
-        Iterations and other figures of the solver, with units in their names.
+        Iterations and other figures from the solver, with units in their names.
     sheet, stated, known
-        The model, the stated constants in internal units, and the state of the solver.
+        The model, the given constants in internal units, and the state of the solver.
     """
 
     constants: Mapping[str, float]
@@ -174,5 +174,5 @@ class SheetSimulation:
 
     @cached_property
     def equilibrium(self) -> SheetEquilibrium:
-        """The state of the solver; solved again if the simulation ran elsewhere."""
+        """The state of the solver; recomputed if the simulation ran elsewhere."""
         return self.known or self.sheet.solved(self.stated)

@@ -36,7 +36,7 @@ class MeshedBody:
     vocabulary : Vocabulary
         The constants of the model.
     complete : callable
-        Maps stated constants to all of them, in internal names and units.
+        Maps the given constants to all of them, in internal names and units.
     problem : callable
         Maps all constants to the problem.
     path_dependent : frozenset of str
@@ -113,9 +113,9 @@ class Simulation:
         `Tissue` of each element.
     displacement_mm : ndarray, shape (n, 3)
     outcome : mapping of str to object
-        Iterations, residual, contact area and other figures of the solver; names contain units.
+        Iterations, residual, contact area and other figures from the solver; names contain units.
     body, stated, solved
-        The model, the stated constants in internal units, and the state of the solver.
+        The model, the given constants in internal units, and the state of the solver.
     """
 
     constants: Mapping[str, float]
@@ -196,13 +196,15 @@ class Simulation:
         if self.body.deform is None:
             raise InputError("This body is not made of voxels: use deformed_nodes_mm.")
         if not self.converged:
-            raise InputError(f"There is no deformed body, the simulation diverged: {self.reason}.")
+            raise InputError(
+                f"There is no deformed body because the simulation diverged: {self.reason}."
+            )
         return self.body.deform(self.displacement_mm)
 
     def gradient(self, name: str) -> FloatArray:
         """Differentiate the displacement with respect to a constant.
 
-        A constant that follows this one unless it is stated, as ``E_muscle_kpa`` follows
+        A constant that follows this one unless it is set, as ``E_muscle_kpa`` follows
         ``E_fat_kpa``, changes with it. With friction, the slip of earlier load steps is held.
 
         Parameters
@@ -255,7 +257,7 @@ class Simulation:
         InputError
             If the suffix is not supported.
         StoreError
-            If the file system refuses.
+            If the file cannot be written.
         """
         data = self._mesh_data
         export_mesh(path, data.mesh, data.points, data.cells)
@@ -279,7 +281,7 @@ class Simulation:
 
     @cached_property
     def equilibrium(self) -> Equilibrium:
-        """The state of the solver; solved again if the simulation ran elsewhere."""
+        """The state of the solver; recomputed if the simulation ran elsewhere."""
         if self.solved is not None:
             return self.solved
         return equilibrium(self.body.model, self.body.problem(self.body.complete(self.stated)))

@@ -1,6 +1,6 @@
 """A typed client of the HTTP API; the basis of `palpate.connect`.
 
-A refused call raises a `PalpateError` with the message of the service.
+A refused call raises a `PalpateError` with the service's message.
 """
 
 import json
@@ -139,7 +139,7 @@ class Client:
         priority: int = 0,
         key: str = "",
     ) -> JobView:
-        """Queue the diagnosis of an upload, or of a study of the service."""
+        """Queue the diagnosis of an upload, or of a study on the service."""
         source = {"upload": upload} if study is None else {"study": study}
         body = {"source": source, "nodes": nodes, "effects": effects, "anyway": anyway}
         return self._send(JobView, "/diagnoses", body | {"priority": priority, "key": key})

@@ -27,7 +27,7 @@ _GREYS = np.column_stack([*[np.arange(256)] * 3, np.full(256, 255)]).astype(np.u
 
 
 def spec_html(spec: StudySpec, about: str) -> Markup:
-    """Return the searched parameters of a study, below a line about it."""
+    """Return the searched parameters of a study, below a line that summarises it."""
     rows = []
     for name, (lower, upper) in spec.search.parameters.items():
         unit = spec.case.parameters.at_door(name).unit.symbol
@@ -88,7 +88,7 @@ def diagnosis_html(diagnosis: FinishedDiagnosis) -> Markup:
 
 
 def volume_html(volume: Volume, about: str) -> Markup:
-    """Return three sections through the middle of a volume as pictures, below a line about it."""
+    """Return three sections through the middle of a volume as pictures, below a line of text."""
     views = VIEWS[:1] if volume.values.shape[0] == 1 else VIEWS
     shown, colours = _drawable(volume)
     pictures = Markup("").join(_thumbnail(shown, colours, view) for view in views)

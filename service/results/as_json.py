@@ -1,6 +1,6 @@
 """The JSON records printed by `--json`.
 
-Scripts depend on the keys. Infinite scores are the texts "-inf" and "inf". A parameter is
+Scripts depend on the keys. Infinite scores are the strings "-inf" and "inf". A parameter is
 ``{"value": 10.0, "unit": "kPa"}``. Generations are counted from 1, as on the console and on the
 page.
 """

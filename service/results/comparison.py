@@ -126,7 +126,7 @@ def compare_studies(folders: Sequence[Path]) -> StudyComparison:
     Raises
     ------
     InputError
-        If there are fewer than two, one is repeated, or a folder has no study.
+        If there are fewer than two studies, one is repeated, or a folder has no study.
     JournalError
         If a journal is damaged.
     """

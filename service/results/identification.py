@@ -8,7 +8,7 @@ information bounds their covariance from below (H. Cramér 1946, C. R. Rao 1945)
           s^2 = \max\left(1, \frac{|r + J\delta|^2}{m - p}\right).
 
 The factor s widens the intervals if the residual exceeds the noise. The mesh and possible model
-errors widen them, too, see `service.results.error_budget`. An interval spans the intervals
+errors widen them, too; see `service.results.error_budget`. An interval spans the intervals
 around the best candidate and around :math:`\delta` from there, so that it also covers the
 unfinished part of the search.
 """
@@ -227,7 +227,7 @@ def identification_from_scatter(
     equally_good: Sequence[Mapping[str, float]],
     note: str,
 ) -> Identification:
-    """Return the identification from the scatter of equally good candidates, internal units.
+    """Return the identification from the scatter of equally good candidates, in internal units.
 
     With fewer than `FEWEST_CANDIDATES` candidates there are no intervals.
     """

@@ -327,7 +327,7 @@ def _in_words(weights: Mapping[str, float], sd: float | None) -> str:
         ((n, w) for n, w in weights.items() if abs(w) >= LEAST_SHARE),
         key=lambda pair: -abs(pair[1]),
     )
-    known = "not seen at all" if sd is None else f"known to {share(sd)}"
+    known = "not determined at all" if sd is None else f"known to {share(sd)}"
     if len(named) == 1:
         return f"{named[0][0]} alone, {known}"
     names = ", ".join(n for n, _ in named[:-1]) + f" and {named[-1][0]}"

@@ -64,8 +64,8 @@ class Profile:
     Parameters
     ----------
     gene : str
-    In ascending order of the value.
-        By ascending value.
+    points : sequence of ProfilePoint
+        In ascending order of the value.
     lower, upper : float or None
         Values at which the rise reaches 2.71; None if it does not.
     """

@@ -262,7 +262,7 @@ class StudyResults:
     @property
     def squeezed_note(self) -> str:
         """Return `squeezed` as a sentence; empty if no element has collapsed."""
-        return self.squeezed and f"The best candidate is not to be trusted: {self.squeezed}."
+        return self.squeezed and f"Do not trust the best candidate: {self.squeezed}."
 
     @property
     def identifiable(self) -> Identifiable:

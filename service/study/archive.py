@@ -81,7 +81,7 @@ def export_study(folder: Path, archive: Path) -> Archived:
     InputError
         If there is no study, or it has not run yet.
     StoreError
-        If its store is missing, the study is running, or the file system refuses.
+        If its store is missing, the study is running, or the archive cannot be written.
     """
     study, log = read_study(folder)
     if log.last_session is None:
@@ -118,7 +118,7 @@ def import_study(archive: Path, folder: Path, location: Location) -> Archived:
     InputError
         If `folder` exists.
     StoreError
-        If the archive is damaged or not a study's, or the file system refuses.
+        If the archive is damaged or does not contain a study, or a file cannot be written.
     """
     folder = folder.expanduser().absolute()
     if folder.exists():
@@ -200,7 +200,7 @@ def _manifest(tar: tarfile.TarFile, archive: Path) -> dict[str, Any]:
         if not all(_MEMBER.fullmatch(name) and isinstance(hashes[name], str) for name in hashes):
             raise ValueError("it names files that no study has")
         if not re.fullmatch(_PART, manifest["study"]):
-            raise ValueError("it has no name of a study")
+            raise ValueError("it does not name a study")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise _damaged(archive, str(error)) from error
     return manifest
@@ -267,6 +267,6 @@ def _sha256(path: Path) -> str:
 
 def _damaged(archive: Path, why: str) -> StoreError:
     return StoreError(
-        f"{archive} is not an archive of a study, or is damaged: {why}. Make it again with "
+        f"{archive} is not an archive of a study, or is damaged: {why}. Create it again with "
         "`palpate store export`."
     )

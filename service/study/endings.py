@@ -31,7 +31,7 @@ def blame_cluster_if_many(lost: list[Ending], evaluations: int) -> None:
 
 
 def refuse_if_all_crashed(crashed: list[Ending], generation: int) -> None:
-    """Raise an error if all candidates crash for the same reason, which would repeat."""
+    """Raise an error if all candidates crash for the same reason, which would recur."""
     reasons = {NUMBERS.sub("#", ending.reason) for ending in crashed}
     if len(crashed) > 1 and len(reasons) == 1:
         raise GenerationCrashError(

@@ -1,4 +1,4 @@
-"""Evaluations at the end of a study that reveal errors in its estimates from causes besides noise.
+"""Evaluations at the end of a study that reveal errors in its estimates other than noise.
 
 The best candidate is evaluated once more with derivatives with respect to the nuisance parameters
 of its organ, and once on a mesh of another size. `results.identification` uses both for the

@@ -28,7 +28,7 @@ class StudyFolder:
     spec : StudySpec
         The study to run in this folder.
     accept_new_code : bool
-        Whether to continue although the code has changed since the last run.
+        Whether to continue even if the code has changed since the last run.
     """
 
     def __init__(self, root: Path, spec: StudySpec, *, accept_new_code: bool = False) -> None:
@@ -38,7 +38,7 @@ class StudyFolder:
         self._accept_new_code = accept_new_code
 
     def check(self) -> StudyLog:
-        """Read the folder, and refuse it if it belongs to another study.
+        """Read the folder, and raise an error if it belongs to another study.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class StudyFolder:
         return last
 
     def check_same(self, log: StudyLog, prepared: PreparedBody, target: PreparedTarget) -> None:
-        """Refuse to continue with a different body or target.
+        """Raise an error if the body or the target is different.
 
         Raises
         ------

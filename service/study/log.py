@@ -34,7 +34,7 @@ class StudyLog:
     endings : mapping of int to EvaluationRecord
         By candidate.
     end : EndRecord or None
-        If the search has stopped.
+        Present if the search has stopped.
     identification : IdentificationRecord or None
         The identifiability of the constants, once it is known.
     session_seconds : tuple of float

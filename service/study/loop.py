@@ -85,7 +85,7 @@ class Study:
     observers : iterable of Observer
         Receive the events of the study.
     accept_new_code : bool
-        Whether to continue although the code has changed since the last run.
+        Whether to continue even if the code has changed since the last run.
 
     Attributes
     ----------
@@ -146,7 +146,7 @@ class Study:
 
 
 class _Run:
-    """One run of a study, its journal locked."""
+    """One run of a study, with its journal locked."""
 
     def __init__(
         self, study: Study, journal: Journal, log: StudyLog, store: Store, dispatcher: TaskRunner
@@ -173,7 +173,7 @@ class _Run:
         return Conclusion(stopped.reason, best_candidate, history)
 
     def _check_continuation(self) -> None:
-        """Replay the journal, so that a changed search is refused before anything is written."""
+        """Replay the journal, so that a changed search is rejected before anything is written."""
         if self.spec.search.steady:
             deque(replayed(self.spec.steady_search, self.log.endings), maxlen=0)
         else:
@@ -181,7 +181,7 @@ class _Run:
             deque(replay.replay(self.log.endings), maxlen=0)
 
     def _search(self, evaluation: EvaluationRun) -> tuple[Stopped, tuple[Generation, ...]]:
-        """Evaluate one generation after the other."""
+        """Evaluate one generation after another."""
         search = SearchReplay(self.spec.search_strategy, self.spec.search.space)
         while isinstance(pending := search.propose(), PendingGeneration):
             begun = pending.number in self.log.proposals
@@ -215,7 +215,7 @@ class _Run:
         if stop is not None and stop.hours is not None:
             ran_s = sum(self.log.session_seconds) + self._elapsed_s()
             if ran_s >= 3600 * stop.hours:
-                return f"the {stop.hours:g} h of search.stop.hours are over"
+                return f"the time limit search.stop.hours ({stop.hours:g} h) has been reached"
         return self.hooks.stop_reason
 
     def _generation_ended(self, number: int, generation: Generation, replayed: bool) -> None:
@@ -291,7 +291,7 @@ class _Run:
             if ending.kind == "lost":  # with its workers; the next run tries again
                 return
             fit = (ending.value or {}).get("fit")
-            reason = "" if fit else ending.reason or "the simulation gave no derivatives"
+            reason = "" if fit else ending.reason or "the simulation computed no derivatives"
         try:
             self._append(self._identified(best, fit, reason, evaluation))
         except Lost:  # the next run tries again

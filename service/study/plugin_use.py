@@ -35,7 +35,7 @@ def require_plugins(dispatcher: Everywhere, wanted: Iterable[Plugin]) -> None:
     Raises
     ------
     ClusterError
-        Names each worker and the plug-ins it lacks.
+        If a worker lacks one; the message names each worker and what it lacks.
     """
     used = list(wanted)
     if not used:

@@ -1,6 +1,6 @@
 """Plausibility checks of a study before its first task.
 
-An implausible study is refused, with all reasons, unless the user insists; an unusual one runs
+An implausible study is rejected, with all reasons, unless the user insists; an unusual one runs
 with a warning.
 """
 
@@ -57,7 +57,7 @@ def preflight(
     Raises
     ------
     InputError
-        If the study is refused, with every reason.
+        If the study is rejected; the message lists every reason.
     StoreError
         If the store cannot be used.
     """
@@ -83,8 +83,8 @@ def _of_the_file(spec: StudySpec, store: Place) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "The plates are at a given distance and no stiffness is held: only ratios of the "
-            "stiffnesses can be found, their scale is arbitrary. Hold one under case.constants, "
-            "such as E_fat_kpa: 10, or state case.load.force_n.",
+            "stiffnesses can be found, and their scale is arbitrary. Hold one under "
+            "case.constants, such as E_fat_kpa: 10, or give case.load.force_n.",
         )
 
 
@@ -143,8 +143,8 @@ def _evaluations(spec: StudySpec) -> Iterator[Finding]:
     sizes = [name for name in _SIZES if name in used]
     yield Finding(
         "implausible" if most > TOO_MANY_EVALUATIONS else "warning",
-        f"search: {most:,} evaluations at most, in {spec.most_generations:,} generations; a usual "
-        f"search has about 1,000. Lower {listed(sizes or _SIZES)}.",
+        f"search: {most:,} evaluations at most, in {spec.most_generations:,} generations; a "
+        f"typical search has about 1,000. Lower {listed(sizes or _SIZES)}.",
     )
 
 
@@ -179,7 +179,8 @@ def _space(spec: StudySpec, store: Place) -> Iterator[Finding]:
         yield Finding(
             "implausible",
             f"The store {store} has {free / GIB:.1f} GiB free; up to {needed / GIB:.1f} GiB are "
-            "needed for the displacements of all candidates. Free some, or give another --store.",
+            "needed for the displacements of all candidates. Free some space, or give another "
+            "--store.",
         )
     elif free < SCARCE_BYTES:
         yield Finding("warning", f"The store {store} has only {free / GIB:.2f} GiB free.")

@@ -61,7 +61,7 @@ class PendingGeneration:
         return ProposalRecord(self.number, self.first, tuple(self.space.names), genes, carried)
 
     def check(self, record: EvaluationRecord) -> None:
-        """Refuse a record from another search.
+        """Raise an error for a record from another search.
 
         Raises
         ------
@@ -72,9 +72,9 @@ class PendingGeneration:
         if dict(record.genes) != expected:
             raise JournalError(
                 f"Candidate {record.candidate} has the genes {dict(record.genes)} in the journal, "
-                f"but this search proposes {expected}: it has changed since, so the study cannot "
-                "be continued. Its results can still be read with `palpate status`, `show` "
-                "and `report`. To continue searching, run the study under another name: "
+                f"but this search proposes {expected}: the search has changed, so the study "
+                "cannot be continued. Its results can still be read with `palpate status`, "
+                "`show` and `report`. To continue searching, run the study under another name: "
                 "evaluations in the store are used again."
             )
 

@@ -55,7 +55,7 @@ class StudySpec(Door):
     Case, target and score are models of the organ that the case names; validating any study
     returns an instance of that organ's `study_of`. ``keep`` selects the deformed bodies that
     are stored in addition to the target and the best candidate. An evaluation that takes
-    longer than ``deadline_s`` is retried once, then it has failed; see
+    longer than ``deadline_s`` is retried once and then marked as failed; see
     `workers.tasks.deadline`.
 
     Parameters
@@ -67,8 +67,8 @@ class StudySpec(Door):
     keep
         Deformed bodies to store in addition to the target and the best candidate.
     deadline_s
-        Longest time of one evaluation, in s. One that takes longer is retried once, then it has
-        failed. Default: no limit.
+        Longest time of one evaluation, in s. One that takes longer is retried once and then marked
+        as failed. Default: no limit.
     """
 
     name: Name = Field(description="the study's folder is runs/NAME")
@@ -193,7 +193,7 @@ class StudySpec(Door):
 
     @property
     def priors(self) -> dict[str, Prior]:
-        """Return mean and standard deviation of parameters with a prior, internal names, units."""
+        """Return mean and standard deviation of parameters with a prior, in internal units."""
         known = self.search.priors
         parameters = {name: self.case.parameters.at_door(name) for name in known}
         return {
@@ -218,7 +218,7 @@ class StudySpec(Door):
 
     @property
     def common_scale(self) -> tuple[str, ...]:
-        """Return the searched stiffnesses known only up to a common factor, internal names."""
+        """Return the searched stiffnesses known only up to a common factor, by internal name."""
         names = [self.case.parameters.at_door(name).name for name in self.search.parameters]
         return self.case.common_scale(names)
 

@@ -119,18 +119,18 @@ def find_named(store: Store, names: Sequence[str], folders: Iterable[Path]) -> l
 
 
 def refuse_if_needed(volumes: Iterable[NamedVolume]) -> None:
-    """Refuse to remove volumes that studies need.
+    """Raise an error if studies need these volumes.
 
     Raises
     ------
     InputError
-        Names each volume with its studies.
+        If a study needs one; the message names each volume with its studies.
     """
     needed = [v for v in volumes if v.studies]
     if needed:
         lines = "; ".join(f"{v.name} by {', '.join(map(str, v.studies))}" for v in needed)
         raise InputError(
-            f"Studies need these volumes: {lines}. Without them they can be read, but not "
+            f"Studies need these volumes: {lines}. Without them the studies can be read, but not "
             "continued, drawn or diagnosed. Nothing was removed; to remove them anyway, add "
             "--force."
         )
@@ -162,7 +162,7 @@ def find_garbage(
     Parameters
     ----------
     uses : iterable of StudyUse
-        Of all studies to keep.
+        Uses of all studies to keep.
     older_than_days : float
         Younger entries are kept: a run may be using them.
     images : bool

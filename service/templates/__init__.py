@@ -9,7 +9,7 @@ DIAGNOSED = ("diagnosis", "experiment")
 
 
 def template_names() -> tuple[str, ...]:
-    """Return the names of all templates: those of the organs, then of what is diagnosed."""
+    """Return the names of all templates: those of the organs, then diagnoses and experiments."""
     return (*_of_organs(), *DIAGNOSED)
 
 
@@ -21,7 +21,7 @@ def template(kind: str, name: str) -> str:
     kind : str
         One of `template_names`.
     name : str
-        Stands in place of NAME.
+        Replaces NAME.
     """
     package, _, file = _of_organs().get(kind, f"{__name__}:{kind}.yaml").partition(":")
     text = resources.files(package).joinpath(file).read_text(encoding="utf-8")

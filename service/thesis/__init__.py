@@ -1,1 +1,1 @@
-"""Reproduction of the thesis: its experiments, compared with its printed results, as a book."""
+"""Reproduction of the thesis: its experiments, compared with its printed results, on one page."""

@@ -1,4 +1,4 @@
-"""Charts of the book."""
+"""Charts of the thesis page."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -52,7 +52,7 @@ PLOTS: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 
 def coefficient_curves(selection: Selection) -> Figure:
-    """Draw the 28 normalised coefficients over the deformations of the bar (Fig. 3.5)."""
+    """Draw the 28 normalised coefficients against the deformations of the bar (Fig. 3.5)."""
     drawn = figure(WIDTH_IN, 6.2)
     for axes, (title, names) in zip(drawn.subplots(2, 3).ravel(), PLOTS, strict=True):
         calm(axes)
@@ -83,7 +83,7 @@ def coefficient_curves(selection: Selection) -> Figure:
 
 
 def cylinder_curves(rows: Sequence[CylinderRow]) -> Figure:
-    """Draw JC, DC and GSF over the angle (Figs. 3.7 and 3.8)."""
+    """Draw JC, DC and GSF against the angle (Figs. 3.7 and 3.8)."""
     drawn = figure(WIDTH_IN, 3.2)
     left, right = (calm(axes, grid="both") for axes in drawn.subplots(1, 2))
     angles = [row.angle_deg for row in rows]
@@ -203,7 +203,7 @@ def _error_marks(found: Sequence[FoundSearch]) -> list[tuple[str, str, str]]:
 
 
 def sensitivity_curves(varied: Sequence[Varied]) -> Figure:
-    """Draw JC and MHD over each constant (Fig. 4.22 shows eta_glandular)."""
+    """Draw JC and MHD against each constant (Fig. 4.22 shows eta_glandular)."""
     drawn = figure(WIDTH_IN, 4.2)
     grid: NDArray[Any] = drawn.subplots(2, len(varied), sharey="row", squeeze=False)
     for column, one in enumerate(varied):

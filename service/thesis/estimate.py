@@ -51,7 +51,7 @@ class Estimate:
     machines : tuple of str
         Machines on which similar parts were timed.
     unknown : int
-        Missing parts of kinds that have not been timed at this scale.
+        Number of missing parts of kinds that have not been timed at this scale.
     """
 
     cpu_s: float
@@ -76,17 +76,15 @@ class Estimate:
             f"core{'s' if self.workers > 1 else ''} (timed on {where})"
         )
         if self.unknown:
-            return f"{text}, without {self.unknown} that have not been timed at this scale."
+            return f"{text}, excluding {self.unknown} that have not been timed at this scale."
         return f"{text}."
 
 
 def estimate(request: ThesisRequest, workers: int) -> Estimate:
     """Return the estimated time of all parts missing in the store.
 
-    Times of parts of the same kind in the store take precedence over the shipped ones.
-
-    Parts of the same kind in the store come first, since they were timed here; else
-    those that are shipped.
+    Times of parts of the same kind in the store, which were measured here, take precedence over
+    the shipped ones.
     """
     store = str(request.store)
     parts = {r.part.name: r for e in request.experiments for r in parts_of(e, store, request.scale)}

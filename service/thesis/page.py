@@ -43,7 +43,7 @@ class Chapter:
     verdict : str
         The result, in one or two sentences.
     thesis, palpate : str
-        Methods of either.
+        Methods of the thesis and of Palpate.
     tables, pictures : sequence
     differences : sequence of str
         Reasons for differences between the numbers.

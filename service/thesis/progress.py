@@ -55,5 +55,5 @@ class ThesisProgress:
             self._last = now
             label = f": {step.label}" if step.label else ""
             text = f"{title}, {step.done} of {step.of}{label}"
-            spent = f"{clock(now - self._begun)}, {duration(self._cpu_s)} of processors"
+            spent = f"{clock(now - self._begun)}, {duration(self._cpu_s)} of processor time"
             self.console.print(f"[{spent}] {text}", markup=False, highlight=False, soft_wrap=True)

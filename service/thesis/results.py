@@ -84,7 +84,7 @@ class SolverTime:
 
 @dataclass(frozen=True)
 class MeshResult:
-    """Quality and compressions."""
+    """Quality and compressions of the meshes."""
 
     quality: tuple[QualityRow, ...]
     aspects: tuple[AspectRow, ...]
@@ -168,7 +168,7 @@ class SearchResult:
 
 @dataclass(frozen=True)
 class Varied:
-    """Scores over one constant, including its target value."""
+    """Scores against one constant, including its target value."""
 
     target: TargetName
     constant: str

@@ -40,7 +40,7 @@ class Verdict:
 def equal(
     place: str, what: str, wanted: float, found: float | None, unit: str = "", why: str = ""
 ) -> Verdict:
-    """Return the verdict on a number that should be equal; None and nan are not run."""
+    """Return the verdict on a number that should be equal; None and nan mean not run."""
     ratio = math.inf
     if found is not None and found > 0:
         ratio = max(found / wanted, wanted / found)
@@ -50,7 +50,7 @@ def equal(
 def at_most(
     place: str, what: str, wanted: float, found: float | None, unit: str = "", why: str = ""
 ) -> Verdict:
-    """Return the verdict on a number of which less is better; None and nan are not run."""
+    """Return the verdict on a number for which less is better; None and nan mean not run."""
     ratio = math.inf if found is None else found / wanted
     return _compared(place, what, wanted, found, unit, why, ratio, 1 + ROUNDING)
 
@@ -58,7 +58,7 @@ def at_most(
 def holds(
     place: str, what: str, wanted: str, good: bool | None, found: str, why: str = ""
 ) -> Verdict:
-    """Return the verdict on a statement; None is not run."""
+    """Return the verdict on a statement; None means not run."""
     if good is None:
         return Verdict(place, what, wanted, "–", "not run")
     if good:

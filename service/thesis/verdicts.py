@@ -144,7 +144,7 @@ def _mammogram(results: ThesisResults) -> Iterator[Verdict]:
     word = "beyond noise in every pair" if beyond else "within noise"
     yield holds("Fig. 4.18", what, "a picture", beyond, word)
     assumed = "a tungsten tube at 28 kV behind rhodium and 60 mAs are assumed"
-    what, found = "geometry, spectrum, dose, pixels", "stated on the page"
+    what, found = "geometry, spectrum, dose, pixels", "given on the page"
     yield Verdict("4.4.3", what, "not printed", found, "cannot be", assumed)
 
 

@@ -40,7 +40,7 @@ KEPT = (
 
 @dataclass(frozen=True, slots=True)
 class Baselines:
-    """Inputs of the simpler rules, by effect; see `service.blind.answering.baselines`.
+    """Inputs to the simpler rules, by effect; see `service.blind.answering.baselines`.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def write_answer(
 def write_failure(
     blind: BlindSet, name: str, directions: Directions, reason: str, code: str
 ) -> None:
-    """Write the reason of a failed diagnosis, which counts as a wrong answer."""
+    """Write the reason why a diagnosis failed, which counts as a wrong answer."""
     folder = blind.answers(directions)
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)

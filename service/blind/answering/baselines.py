@@ -7,9 +7,9 @@
    image when fitted together with the constants, regardless of its number of parameters.
 3. Chance: any effect from the catalogue.
 
-The first two always name an effect. For a fair comparison they are also scored with a
-threshold below which they stay silent, chosen to raise as many false alarms as the diagnosis on
-bodies without a missing effect.
+The first two always name an effect. For a fair comparison they are also scored with a threshold
+below which they name no effect, chosen to raise as many false alarms as the diagnosis on bodies
+without a missing effect.
 """
 
 from collections.abc import Mapping, Sequence
@@ -77,7 +77,7 @@ def threshold(silent: Sequence[float], alarms: int) -> float:
     silent : sequence of float
         Its evidence on each body without a missing effect.
     alarms : int
-        Number of these that may be named; more only in case of ties.
+        Number of these bodies for which an effect may be named; more only in case of ties.
     """
     ranked = sorted(silent, reverse=True)
     return ranked[alarms] if alarms < len(ranked) else -np.inf

@@ -73,9 +73,9 @@ def unanswered(answering: Answering) -> list[str]:
     changed = differences(manifest["diagnosis"], now)
     if changed and not answering.declared:
         raise InputError(
-            f"The diagnosis is not the one that {blind.manifest} was sealed against: "
+            f"The diagnosis is not the one that {blind.manifest} was sealed for: "
             f"{', '.join(changed)} changed. Answer with that one, make a new set, or give a reason "
-            'with --declare "...", which the score repeats.'
+            'with --declare "...", which is shown with the score.'
         )
     names = sorted(manifest["cases"])
     answered = [n for n in names if blind.answer(n, answering.directions).is_file()]
@@ -97,7 +97,7 @@ def answer(answering: Answering, names: Sequence[str], dispatcher: Dispatcher, t
     names : sequence of str
         As returned by `unanswered`; the limit applies.
     tell : callable
-        Called for each case with an empty text, or the reason of its failure.
+        Called for each case with an empty text, or the reason for its failure.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def along_y(case: Path, copy: Path) -> Path:
 def _whole(
     answering: Answering, names: Sequence[str], dispatcher: Dispatcher
 ) -> Iterator[tuple[str, DiagnosisRequest | None, str]]:
-    """Yield cases in order of arrival: the name, the request, and the reason of a failure."""
+    """Yield cases in order of arrival: the name, the request, and the reason for a failure."""
     requests: dict[str, DiagnosisRequest] = {}
     refused: dict[str, str] = {}
 
@@ -214,7 +214,7 @@ def _reason(ending: Ending) -> str:
 def _one(
     answering: Answering, name: str, dispatcher: Dispatcher
 ) -> tuple[DiagnosisRequest | None, str]:
-    """Diagnose with all workers; return the request, and the reason of a failure."""
+    """Diagnose with all workers; return the request, and the reason for a failure."""
     try:
         request = request_of(answering, name)
         run(request, dispatcher)

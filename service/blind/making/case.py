@@ -29,7 +29,7 @@ class CaseMade(TypedDict):
 def make_case(
     seed: int, kind: str, one_direction: bool, world: str, case: str, truth: str
 ) -> CaseMade:
-    """Draw a case and write it, and its truth elsewhere; each is complete or absent.
+    """Draw a case, and write it and its truth to two folders, each whole or not at all.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ class SetRequest:
     cases : int
         Number of cases, > 0.
     seed : int or None
-        Seed of all cases; None draws one that nobody knows.
+        Seed of all cases; None draws a seed that nobody knows.
     one_direction : bool
         Whether all scans are pressed along y.
     nodes : int
@@ -113,7 +113,7 @@ def plan(
 
 
 def _planned_before(truths: Truths, request: SetRequest) -> list[PlannedCase]:
-    """Read the plan of an earlier call, and refuse one for another set."""
+    """Read the plan of an earlier call, and reject a plan for another set."""
     earlier = read_json(truths.plan)
     before = {"controls": False, "world": "plain"} | earlier  # older plans lack these keys
     rules = {name: before[name] for name in request.rules}

@@ -56,7 +56,7 @@ def heat_map(table: Confusion) -> Figure:
 
 
 def curve(bins: Sequence[Bin]) -> Figure:
-    """Draw the share of true statements over their stated probability."""
+    """Draw the share of true statements against their stated probability."""
     drawn = figure(5.1, 4.4)
     axes = _square(drawn, "stated probability", "share of true statements")
     for b in bins:
@@ -72,7 +72,7 @@ def curve(bins: Sequence[Bin]) -> Figure:
 
 
 def shrinkage(held_out: Sequence[Pair], inside: Sequence[Pair]) -> Figure:
-    """Draw claimed over true shrinkage, as pairs (claimed, true)."""
+    """Draw claimed against true shrinkage, from pairs (claimed, true)."""
     drawn = figure(5.1, 4.4)
     axes = _square(drawn, "true shrinkage", "claimed shrinkage")
     _dots(axes, inside, ORANGE, "s", "averaged over the causes")
@@ -84,7 +84,7 @@ def shrinkage(held_out: Sequence[Pair], inside: Sequence[Pair]) -> Figure:
 
 
 def gaps(before: Sequence[Pair], after: Sequence[Pair], floor: float | None) -> Figure:
-    """Draw claimed over true gap in mm, as pairs (claimed, true)."""
+    """Draw claimed against true gap in mm, from pairs (claimed, true)."""
     drawn = figure(5.1, 4.4)
     axes = _square(drawn, "true gap, mm", "claimed gap, mm")
     most = 1.08 * max([0.1, *(max(pair) for pair in [*before, *after])])

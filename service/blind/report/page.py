@@ -138,7 +138,7 @@ def _calibration_picture(records: Sequence[CaseRecord]) -> Picture:
     return picture(
         charts.curve(bins),
         f"Share of true statements by probability. {shares}.",
-        "Each dot: the statements in a tenth of the scale, with their number.",
+        "Each dot shows the statements in a tenth of the scale, with their number.",
     )
 
 
@@ -147,7 +147,7 @@ def _shrinkage_picture(records: Sequence[CaseRecord]) -> Picture:
     inside = _pairs(records, lambda r: r.claimed_share, lambda r: r.true_share)
     return picture(
         charts.shrinkage(held_out, inside),
-        f"Claimed over true shrinkage of {len(inside)} cases.",
+        f"Claimed against true shrinkage of {len(inside)} cases.",
         "Reduction of the squared gap by the named effects.",
     )
 
@@ -157,8 +157,8 @@ def _gap_picture(records: Sequence[CaseRecord], floor: float | None) -> Picture:
     after = _pairs(records, lambda r: r.claimed_after_mm, lambda r: r.true_after_mm)
     return picture(
         charts.gaps(before, after, floor),
-        f"Claimed over true gap of {len(before)} cases.",
-        "Root mean square distance beyond noise: claimed, over the noise-free value.",
+        f"Claimed against true gap of {len(before)} cases.",
+        "Root mean square distance beyond noise: claimed against noise-free.",
     )
 
 

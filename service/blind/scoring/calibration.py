@@ -92,7 +92,7 @@ def _error_of_sums(sums: FloatArray) -> FloatArray:
 
 
 def sure_statements(records: Sequence[CaseRecord]) -> Estimate:
-    """Return the fraction of statements made with 90 % or more that are true."""
+    """Return the fraction of statements with a probability of 90 % or more that are true."""
     made = [s for record in records for s in statements(record)]
     return share([true for p, true in made if p >= SURE])
 

@@ -19,8 +19,8 @@ class Confusion:
     Parameters
     ----------
     rows : tuple of str
-        Kinds of truth: silent ones, single effects, pairs and triples, and causes outside the
-        catalogue.
+        Kinds of truth: nothing detectable, single effects, pairs and triples, and causes outside
+        the catalogue.
     columns : tuple of str
         First effects named, and answers without an effect.
     counts : tuple of tuple of int

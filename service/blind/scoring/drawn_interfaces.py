@@ -1,6 +1,6 @@
 """Distances from a body's true interfaces to the drawn ones.
 
-They are due to labels or scans that are too large, and to scans at another position.
+The distances are due to labels or scans that are too large, and to displaced scans.
 """
 
 from collections.abc import Mapping

@@ -1,7 +1,7 @@
 """Conversion of true magnitudes to the catalogue's parameters, for comparison with estimates.
 
-The maker of a case parametrises each cause in its own way; `Effect.truth` returns the
-catalogue parameters of the same meaning, which a diagnosis should find.
+The maker of a case parametrises each cause in its own way; `Effect.truth` returns the catalogue
+parameters with the same meaning, which a diagnosis should find.
 """
 
 import math
@@ -32,7 +32,7 @@ def true_values(truth: Truth) -> dict[str, float]:
 
 
 def magnitudes(truth: Truth, by_name: Mapping[str, EffectSummary]) -> list[Magnitude]:
-    """Return found and true magnitudes of a single effect that was refitted.
+    """Return estimated and true magnitudes of a single effect that was refitted.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def magnitudes(truth: Truth, by_name: Mapping[str, EffectSummary]) -> list[Magni
 def strength(truth: Truth, by_name: Mapping[str, EffectSummary]) -> float | None:
     """Return the true size of a single effect in standard deviations of its estimate.
 
-    It bounds the evidence of the scans, given the form of the effect: s^2 / 2 nats against no
-    gap. None if the catalogue has no parameter of the same meaning, or if the response is not
+    It bounds the evidence in the scans, given the form of the effect: s^2 / 2 nats against no
+    gap. None if the catalogue has no parameter with the same meaning, or if the response is not
     proportional to the size: friction, springs and lumps saturate, so their presence is better
     known than their size; the effect of a plate edge grows faster than its size.
 
@@ -73,12 +73,12 @@ def strength(truth: Truth, by_name: Mapping[str, EffectSummary]) -> float | None
 def lump_apart_mm(
     truth: Truth, by_name: Mapping[str, EffectSummary], centre_mm: Triple | None
 ) -> float | None:
-    """Return the distance between the true and the found centre of a lump; None unless both exist.
+    """Return the distance between the true and the estimated centre of a lump, or None.
 
     Parameters
     ----------
     centre_mm : tuple of float or None
-        Middle of the body, from which answers of earlier versions have offsets.
+        Middle of the body, from which answers of earlier versions measure offsets.
     """
     given = next((c.parameters for c in truth.causes if c.effect == MAPPED.name), None)
     found = by_name.get(MAPPED.name)

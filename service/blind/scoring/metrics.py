@@ -1,7 +1,7 @@
 """Metrics of a set and their targets.
 
 A true gap counts as visible above 1.5 times the floor, the noise-free gap of the calibrated model
-in the median control. Cases below are listed but judged separately.
+in the median control. Cases below that limit are listed but judged separately.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -319,7 +319,7 @@ def _baselines(records: Records, floor: float | None) -> Iterable[Metric]:
 def _threshold(records: Records, key: str) -> float | None:
     """Return the threshold at which a baseline has as few false alarms as the diagnosis.
 
-    None without bodies that lack no effect.
+    None if every body lacks an effect.
     """
     silent = [r for r in records if r.silent and key in r.loudness]
     if not silent:

@@ -176,7 +176,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def _known(share: ShareEstimate | None) -> float | None:
-    """Return the share; None if there is no gap to share."""
+    """Return the share; None if there is no gap."""
     return None if share is None or np.isnan(share.share) else share.share
 
 

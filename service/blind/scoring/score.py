@@ -32,12 +32,12 @@ def score_sets(sets: Sequence[OpenedSet], directions: Directions) -> ScoredSet:
     Raises
     ------
     InputError
-        If a set is not sealed or not answered, a seal is broken, or a set is named twice.
+        If a set is not sealed or not answered, a seal is broken, or a set is given twice.
     """
     roots = [blind.root.absolute().resolve() for blind, _ in sets]
     twice = next((root for n, root in enumerate(roots) if root in roots[:n]), None)
     if twice is not None:
-        raise InputError(f"The set {twice} is named twice: its cases would count double.")
+        raise InputError(f"The set {twice} is given twice: its cases would be counted twice.")
     seals = tuple(_checked_seals(blind, truths, directions) for blind, truths in sets)
     records = regrouped(
         [one for blind, truths in sets for one in _records(blind, truths, directions)]

@@ -1,9 +1,9 @@
 """The noise-free gap between a fitted model and the truth.
 
-A diagnosis compares interfaces along their normals, so skin that slides along itself opens no
-gap. The true outline, along which skin slides by millimetres, is a surface through the points
-that were on it. The boundary of the gland is thin and folded but moves with the tissue, so it
-is followed point by point. Both are given: `TrueGap.material_mm` follows points everywhere.
+A diagnosis compares interfaces along their normals, so tangential sliding of the skin opens no gap.
+The true outline, along which skin slides by millimetres, is a surface through the displaced outline
+points. The boundary of the gland is thin and folded but moves with the tissue, so it is followed
+point by point. Both are given: `TrueGap.material_mm` follows points everywhere.
 
 The points of a diagnosis come from a noisy scan, so they are slightly off the true interfaces on
 which the truth is known. Displacement is continuous across them: it is interpolated in space by
@@ -39,7 +39,7 @@ class TrueGap:
     gap_mm : float
         At the interfaces.
     scans_mm : tuple of float
-        The same for each scan.
+        The same distance for each scan.
     material_mm : float
         At points that move with the tissue.
     """
@@ -110,8 +110,8 @@ def _off_outline(
 ) -> FloatArray:
     """Return the distance of the model's outline outside the true one, shape (scans, k).
 
-    Points that a noisy scan has put off the outline at rest are moved like the tissue between
-    them and their feet on it, to the extent that the model carries this offset, (scans, k).
+    Points that noise has shifted off the outline at rest are moved like the tissue between them and
+    their projections onto it, scaled by `carried`, shape (scans, k).
     """
     on = truth.interface == OUTLINE
     at_rest, went = truth.points[on], truth.displacement[:, on]

@@ -34,12 +34,12 @@ class CaseRecord:
     answer : str
         The verdict, or "failed" if the diagnosis did not finish.
     primary : tuple of str
-        Accused effects, the most probable one first.
+        Named effects, the most probable one first.
     primary_families : tuple of str
         Families of these effects.
     set90 : tuple of str
     probabilities : mapping of str to float
-        Probability that each effect acts, as far as the data can show; with "no-gap" and
+        Probability that each effect acts, as far as the data can tell; with "no-gap" and
         "none-of-these".
     family_probabilities : mapping of str to float
         Probability that an effect of the family acts.
@@ -48,9 +48,9 @@ class CaseRecord:
     claimed_before_mm, claimed_after_mm : float or None
         Gap beyond noise with the nominal model, and with the named effects.
     true_before_mm, true_after_mm : float or None
-        The same without noise, from the truth; see `service.blind.scoring.true_gap`.
+        The same gaps without noise, from the truth; see `service.blind.scoring.true_gap`.
     true_material_mm : float or None
-        The first of them, at points that move with the tissue.
+        The gap before, at points that move with the tissue.
     gap_interval_mm, share_interval : tuple of float or None
         Stated 90 % intervals of the gap before and of the shrinkage.
     claimed_share, held_out_share : float or None
@@ -62,7 +62,7 @@ class CaseRecord:
         True size of a single effect in standard deviations of its estimate; see
         `service.blind.scoring.magnitudes.strength`.
     lump_apart_mm : float or None
-        Distance from the found centre of a lump to the true one.
+        Distance from the estimated centre of a lump to the true one.
     named_by : mapping of str to (str or None)
         The effect named by each baseline.
     loudness : mapping of str to float
@@ -104,7 +104,7 @@ class CaseRecord:
 
     @property
     def silent(self) -> bool:
-        """Return True if the model lacks nothing that data could show."""
+        """Return True if the model lacks nothing that data could reveal."""
         return self.group in ("control", "absorbed")
 
     @property
@@ -129,7 +129,7 @@ class CaseRecord:
 
     @property
     def strictly_right(self) -> bool:
-        """Return True if an effect is named, and none that does not act."""
+        """Return True if at least one effect is named, and every named effect acts."""
         return bool(self.primary) and set(self.primary) <= set(self.effects)
 
     @property

@@ -1,4 +1,4 @@
-"""The diagnosis against which a set is sealed: its code and all its settings."""
+"""The diagnosis for which a set is sealed: its code and all its settings."""
 
 import subprocess
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ class FrozenDiagnosis:
     version : str
         Version of Palpate.
     commit : str or None
-        None outside of a repository.
+        None outside a repository.
     code : str
         Digest of all source that a diagnosis depends on.
     settings : mapping

@@ -4,13 +4,13 @@
 
     SET/manifest.json          hashes of all cases and truths, and the diagnosis at that time
     SET/cases/<id>/            the input of a diagnosis
-    SET/answers/<id>.json      its answer, and <id>.npz: its positions of the points
+    SET/answers/<id>.json      its answer, and <id>.npz: final positions of its points
     SET/answers.json           hashes of all answers
     SET-truth/plan.json        seeds, kinds and salts
     SET-truth/<id>/            truth.json, truth.npz
 
 Nothing in SET reveals the kind of a case: names are random, cases are in the order of their
-names, and the truth is stored elsewhere. Answers to the scans pressed along y alone are in
+names, and the truth is stored elsewhere. Answers for the scans pressed along y alone are in
 ``answers-y`` and ``answers-y.json``.
 """
 
@@ -49,7 +49,7 @@ class SealedAnswers(TypedDict):
     """The seal of an answered set.
 
     ``manifest`` is the hash of the set, ``diagnosis`` the one that answered, ``declared`` the
-    reason if it is not the one of the manifest.
+    reason if it differs from the one in the manifest.
     """
 
     manifest: str
@@ -156,7 +156,7 @@ def check_cases(blind: BlindSet, manifest: Manifest) -> None:
     Raises
     ------
     InputError
-        Names the cases that are missing, added or changed.
+        If cases are missing, added or changed; the message names them.
     """
     sealed = manifest["cases"]
     there = {p.name for p in blind.cases.iterdir() if p.is_dir() and p.name[0] != "."}
@@ -178,7 +178,7 @@ def check_truths(truths: Truths, manifest: Manifest) -> None:
     Raises
     ------
     InputError
-        Names the truths that are missing or changed.
+        If truths are missing or changed; the message names them.
     """
     plan = read_json(truths.plan)
     salts = {entry["id"]: entry["salt"] for entry in plan["cases"]}

@@ -20,8 +20,8 @@ MAPPED = next(e for e in CATALOGUE.effects if e.is_mapped)
 CONFOUNDED = {e.name for e in CATALOGUE.effects if e.is_confounded}
 
 Group = Literal["control", "absorbed", "single", "pair", "triple", "unlike", "relative"]
-"""The expected answer to a case: none (``control``, ``absorbed``), one effect, two or three, none
-of the catalogue (``unlike``), or the family of an effect that is not in the catalogue
+"""The expected answer to a case: none (``control``, ``absorbed``), one effect, two or three, no
+effect in the catalogue (``unlike``), or the family of an effect that is not in the catalogue
 (``relative``)."""
 
 GROUPS: dict[Group, str] = {

@@ -62,7 +62,7 @@ def diagnose_source(
     """
     if wanted.plan and source.is_file() and not is_plannable(source):
         raise InputError(
-            f"{source} is a bench experiment, and --plan can only suggest scans. Omit it."
+            f"{source} is a bench experiment, and --plan can only suggest scans. Omit --plan."
         )
     store = store_place(wanted.store)
     opened = open_source(source, store)

@@ -48,7 +48,7 @@ def import_image(
     ] = None,
     spacing_mm: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(metavar="X Y Z", help="Voxel spacing, if the file does not state it."),
+        typer.Option(metavar="X Y Z", help="Voxel spacing, if the file does not give it."),
     ] = None,
     axes: Annotated[
         str | None,
@@ -173,7 +173,8 @@ def _keep(store: Store, name: str, volume: Volume, file: str, *, replace: bool) 
         other = next(iter(named.values())).get("file", "an unknown file")
         raise InputError(
             f"The store has another volume named {name}, read from {other}: another image, or the "
-            "same with other labels, spacing or axes. Choose another --name, or give --replace."
+            "same one with different labels, spacing or axes. Choose another --name, or give "
+            "--replace."
         )
     about |= {"content": content, "replaces": [*named, content]}
     kept = digest("replacement", content, list(named))

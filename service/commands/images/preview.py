@@ -70,9 +70,9 @@ def facts(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, str]]
 
 def _place(summary: Mapping[str, Any]) -> str:
     if not summary["place_known"]:
-        return "unknown: the file does not state where its voxels are"
+        return "unknown: the file does not give the position of its voxels"
     frame = summary.get("frame_uid")
-    return "as the file states" + (f", frame of reference {frame}" if frame else "")
+    return "as given by the file" + (f", frame of reference {frame}" if frame else "")
 
 
 def _extents(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, str]]:
@@ -108,7 +108,7 @@ def doubt(volume: Volume, letters: tuple[str, str, str] | None = None) -> str:
     ----------
     volume : Volume
     letters : tuple of str, optional
-        Anatomical directions in which x, y and z increase, if the file states them.
+        Anatomical directions in which x, y and z increase, if the file gives them.
     """
     if letters is not None and letters[2] != "A":
         return (
@@ -155,7 +155,7 @@ def write_png(
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import ListedColormap
@@ -239,7 +239,7 @@ def terminal_lines(volume: Volume, width: int, *, colours: bool) -> Iterator[Any
 
 
 def _drawn(cut: Section, columns: int, panel: int, colours: bool) -> Iterator[Any]:
-    """Yield the lines of one slice, two rows of square pixels a line."""
+    """Yield the lines of one slice, two rows of square pixels per line."""
     from rich.text import Text
 
     wide, high = _size_mm(cut)

@@ -23,8 +23,8 @@ def new(
     role: Annotated[
         Literal["read", "submit", "admin"],
         typer.Option(
-            help="What the token allows: read; submit, which includes changing own jobs; or admin, "
-            "change the jobs of others."
+            help="What the token allows: read; submit, which includes changing one's own jobs; or "
+            "admin, which includes changing the jobs of others."
         ),
     ] = "submit",
     as_json: JsonOption = False,

@@ -56,11 +56,11 @@ def evaluate(
     anyway: AnywayOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Evaluate a table or a design of candidates of a study.
+    """Evaluate a table or a design of candidates for a study.
 
     Constants without a column keep the values of the case. Stored evaluations are
     reused: press Ctrl-C to stop at any time, and the same command continues. Rows of candidates
-    that do not converge have a reason.
+    that do not converge give the reason.
     """
     with interruptible():  # before the imports, which take a while
         scheduler, processes = cluster_options(scheduler, workers)

@@ -85,7 +85,9 @@ def _constants(
         whose = "the constants given" if given else "its own constants"
         return constants_option(spec.case, given), whose
     if given:
-        raise InputError("--candidate and --set cannot be combined: a candidate has constants.")
+        raise InputError(
+            "--candidate and --set cannot be combined: a candidate has its own constants."
+        )
     if not study.is_dir():
         raise InputError(f"{study} is a study file: --candidate needs the folder of a study.")
     if candidate != "best" and not candidate.isdecimal():

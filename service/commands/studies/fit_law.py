@@ -26,7 +26,7 @@ def fit_law(
     ],
     law: Annotated[str, typer.Option("--law", help="Name of a law, or all.")] = "all",
     nu: Annotated[
-        float, typer.Option("--nu", help="Poisson's ratio in the file that uses the constants.")
+        float, typer.Option("--nu", help="Poisson's ratio for the file that uses the constants.")
     ] = 0.49,
     as_json: JsonOption = False,
 ) -> None:

@@ -66,7 +66,7 @@ def parameters(
                 f"Laws, under case.model.law: {', '.join(laws)}; --law NAME shows constants."
             )
         typer.echo()
-    typer.echo("Effects, neutral unless stated:")
+    typer.echo("Effects, neutral unless set:")
     rows = [
         _row(p, cause["effect"], "" if cause["in_studies"] else ", diagnosis only")
         for cause in causes

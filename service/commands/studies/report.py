@@ -19,7 +19,7 @@ from palpate.service.study.observers.progress import clock
 
 ONLY_RATIOS = (
     "Only stiffness ratios were found, because the plate distance is known but no force or "
-    "stiffness is stated. The values below have an arbitrary scale."
+    "stiffness is given. The values below have an arbitrary scale."
 )
 
 
@@ -124,7 +124,7 @@ def _how_well(results: StudyResults) -> list[str]:
         if shares and results.estimates[name].interval is not None:
             texts.append(f"Standard deviation of {name} by source: {shares}.")
     if known.directions:
-        texts.append(f"Least certain by the image alone: {known.directions[-1].words}.")
+        texts.append(f"Least certain from the image alone: {known.directions[-1].words}.")
     return texts
 
 

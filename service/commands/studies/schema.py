@@ -34,7 +34,7 @@ def schema(
         Path | None, typer.Option(help="Write to this file instead of standard output.")
     ] = None,
 ) -> None:
-    """Print the keys of a file as JSON schema, with meanings.
+    """Print the keys of a file, with their meanings, as JSON schema.
 
     An editor that knows YAML schemas then completes and checks the file.
     """
@@ -44,7 +44,7 @@ def schema(
         typer.echo(text)
         return
     write_file(out, f"{text}\n".encode())
-    typer.echo(f"Wrote {out}. First line of a file that follows it:")
+    typer.echo(f"Wrote {out}. Begin a file that follows it with this line:")
     typer.echo(f"# yaml-language-server: $schema={out}")
 
 

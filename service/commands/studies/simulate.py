@@ -65,7 +65,7 @@ def simulate(
 ) -> None:
     """Compress the body of a study once.
 
-    Other constants keep the values of the case. Only constants that are stated or differ from
+    Other constants keep the values of the case. Only constants that are given or differ from
     their neutral values are printed.
     """
     check_suffix(out, solved_suffixes())

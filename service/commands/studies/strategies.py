@@ -28,7 +28,8 @@ def strategies(
     target_nodes: Annotated[
         int | None,
         typer.Option(
-            min=100, help="Approximate number of mesh nodes for the targets. Default: as --nodes."
+            min=100,
+            help="Approximate number of mesh nodes for the targets. Default: the same as --nodes.",
         ),
     ] = None,
     workers: Annotated[
@@ -66,7 +67,7 @@ def line(row: Reached) -> str:
     near = "never" if row.until_near is None else f"{row.until_near:4d} evaluations"
     errors = ", ".join(f"{gene} {100 * e:+.2f} %" for gene, e in row.errors.items())
     return (
-        f"target {row.target}, {row.strategy}: near after {near}, {row.evaluations} in all, "
+        f"target {row.target}, {row.strategy}: within 2 % after: {near}; {row.evaluations} in all, "
         f"{row.core_s:.0f} core-s, GSF {row.gsf:.3f}; {errors}"
     )
 
@@ -74,8 +75,8 @@ def line(row: Reached) -> str:
 def summary(rows: Sequence[Reached]) -> list[str]:
     """Return a Markdown table with a line for each strategy."""
     head = (
-        "| strategy | targets | evaluations to both moduli within 2 % (median, most) | "
-        "core-s to there (median) | evaluations in all (median) | GSF (median) | "
+        "| strategy | targets | evaluations until both moduli are within 2 % (median, maximum) | "
+        "core-s until then (median) | evaluations in all (median) | GSF (median) | "
         "mean error E_fat, E_gl, eta_fat, eta_gl | in the 90 % interval |"
     )
     found = [head, "|" + "---|" * 8]

@@ -140,7 +140,7 @@ def run(
         str | None,
         typer.Option(
             metavar="REASON",
-            help="Reason why the diagnosis differs from the one that was sealed.",
+            help="Reason why the diagnosis differs from the sealed one.",
             show_default=False,
         ),
     ] = None,
@@ -214,12 +214,12 @@ def score(
 
 
 def _refuse_nested(folder: Path, truth: Path) -> None:
-    """Refuse truths inside the set, which is passed on, and a set inside the truths."""
+    """Reject truths inside the set, which others receive, and a set inside the truths."""
     a, b = folder.absolute().resolve(), truth.absolute().resolve()
     if a == b or a in b.parents or b in a.parents:
         raise InputError(
-            f"The truths must be outside the set: found {truth} and {folder}. Give another "
-            "folder by --truth."
+            f"The truths must be outside the set: found {truth} and {folder}. Give another folder "
+            "with --truth."
         )
 
 

@@ -53,7 +53,7 @@ def constants(comparison: StudyComparison, gene: str, width: float) -> Svg:
 
 
 def convergence(comparison: StudyComparison, width: float) -> Svg:
-    """Draw the lowest score of every study over the number of evaluations, on a log axis."""
+    """Draw the lowest score of every study against the number of evaluations, on a log axis."""
     svg = Svg(width, 340.0)
     items: list[tuple[Mark, str, str]] = [
         ("line", _line(n), _short(study.label)) for n, study in enumerate(comparison.studies)

@@ -34,7 +34,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Log evidence gained by a refit, in nats; `field` is None if not tried."""
+    """Log evidence gained by a refit, in nats; `field` is None if it was not fitted."""
 
     title: str
     gain: float

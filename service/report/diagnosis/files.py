@@ -27,7 +27,7 @@ def write_diagnosis(
     Raises
     ------
     StoreError
-        If the file system refuses.
+        If the file cannot be written.
     """
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)

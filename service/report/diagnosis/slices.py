@@ -122,7 +122,7 @@ def cause_sections(
         colours,
         svg.width - BAR_PX + 24,
         (HEAD_PX + ABOVE_PX, svg.height - BELOW_PX),
-        "score: softer (−) or stiffer (+) tissue explains it",
+        "score: softer (−) or stiffer (+) tissue explains the gap",
         strokes=(-reached_by_noise, reached_by_noise),
     )
     return svg

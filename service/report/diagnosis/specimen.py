@@ -76,7 +76,7 @@ def specimen_pictures(maps: Arrays, summary: Summary, named: str) -> Iterator[Pi
 
 
 def movements(maps: Arrays, summary: Summary) -> list[Movement]:
-    """Return all states; none if the places of the points are unknown."""
+    """Return all states; none if the positions of the points are unknown."""
     places = maps.get("marker_points")
     if places is None or not summary.markers:
         return []

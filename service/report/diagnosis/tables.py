@@ -37,7 +37,7 @@ class ConstantRow:
 
 @dataclass(frozen=True)
 class EffectRow:
-    """One effect; `hidden` if no data could show it, and then `why`."""
+    """One effect; `hidden` if no data could reveal it, with the reason in `why`."""
 
     name: str
     summary: str
@@ -81,7 +81,7 @@ class OverlapRow:
 
 
 def constants(summary: schema.Summary) -> list[ConstantRow]:
-    """Return a row for each constant, of the nominal model and with the effect."""
+    """Return a row for each constant, for the nominal model and with the effect."""
     return [
         _constant(name, summary.constants[name], judged)
         for name, judged in judged_constants(summary).items()
@@ -167,7 +167,7 @@ def _fixed(value: float | None, digits: int) -> str:
 def _effect(e: schema.EffectSummary, hidden: bool) -> EffectRow:
     magnitudes = tuple((parameter_name(p.parameter, p.unit), magnitude(p)) for p in e.parameters)
     share = f"{100 * e.absorbed_share:.0f} %"
-    why = f"the constants absorb {share} of it: the scans cannot show it"
+    why = f"the constants absorb {share} of it: the scans cannot reveal it"
     return EffectRow(
         spoken(e.name),
         e.summary,

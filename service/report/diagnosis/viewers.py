@@ -79,7 +79,7 @@ def body_data(
         surfaces,
         told,
         models,
-        "model outside (+) or inside (−) of the scan, mean over about 8 mm; values within the "
+        "model outside (+) or inside (−) the scan, mean over about 8 mm; values within the "
         "noise are drawn as zero",
         range_mm(found["local_before"], found["local_before_sd"]),
         first="gap",
@@ -173,7 +173,7 @@ def _gaps(
     vertices: FloatArray,
     models: Sequence[tuple[str, str]],
 ) -> dict[str, FloatArray]:
-    """Return residuals at vertices, those within the noise as zero; nan where no point is near."""
+    """Return residuals at vertices, zero if within the noise and nan where no point is near."""
     own = np.asarray(found["interface"]) == number
     if not own.any():
         return {}

@@ -123,9 +123,9 @@ def cause_words(causes: CauseMapSummary) -> str:
         else "no more than noise alone reaches somewhere in the body"
     )
     return (
-        f"{way} tissue at {place} mm (the cross) would explain most. Its score of "
-        f"{signed(before.score, 1)} is {verdict} (±{noise:.1f} in 5 of 100 cases, the strokes "
-        "in the scale)"
+        f"{way} tissue at {place} mm (the cross) would explain the gap best. Its score of "
+        f"{signed(before.score, 1)} is {verdict} (±{noise:.1f} in 5 of 100 cases, the strokes on "
+        "the scale)"
     )
 
 

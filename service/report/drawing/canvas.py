@@ -60,7 +60,7 @@ def figure(width_in: float, height_in: float) -> Figure:
 
 
 def on_white(drawn: Figure) -> Figure:
-    """Return the figure with a white background, for notebooks of any theme."""
+    """Return the figure with a white background, for notebooks with any theme."""
     drawn.set_facecolor("white")
     return drawn
 

@@ -54,7 +54,7 @@ class Section:
     values : ndarray of uint8, shape (rows, columns)
         Row 0 at the bottom.
     spacing_mm : tuple of float
-        Distance of voxel centres, across and up.
+        Distance between voxel centres, across and up.
     origin_mm : tuple of float
         Centre of ``values[0, 0]``, across and up.
     """

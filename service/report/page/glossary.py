@@ -12,9 +12,10 @@ STUDY = (
     ),
     (
         "Jaccard (JC)",
-        "Volume of the intersection of two bodies over that of their union: 1 if equal.",
+        "Volume of the intersection of two bodies, divided by the volume of their union: 1 if "
+        "equal.",
     ),
-    ("Dice", "Twice the volume of the intersection, over the sum of both volumes."),
+    ("Dice", "Twice the volume of the intersection, divided by the sum of both volumes."),
     (
         "MHD",
         "Modified Hausdorff distance: the mean distance between two surfaces, the larger of the "

@@ -22,7 +22,7 @@ ALIKE = LinearSegmentedColormap.from_list("alike", ["#ffffff", "#f6d9ae", ORANGE
 
 
 def alikeness(plan: PlanSummary) -> Figure:
-    """Return the cosines of the visible parts of all effects; grey names cannot be found."""
+    """Return the cosines of the effects' visible parts; effects with grey names cannot be found."""
     names = [e.name for e in plan.effects]
     seen = [e.seen for e in plan.effects]
     cosines = np.array(plan.cosines)

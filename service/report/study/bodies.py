@@ -1,7 +1,7 @@
 """The three bodies of a study, as far as its store still has them.
 
-They are the undeformed body, the target and the best candidate. The report names missing bodies
-and does without their pictures.
+They are the undeformed body, the target and the best candidate. The report names missing bodies and
+omits their pictures.
 """
 
 from collections.abc import Callable, Iterable, Mapping

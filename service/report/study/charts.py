@@ -70,7 +70,7 @@ def convergence(
     width: float,
     axis: str = "GSF",
 ) -> Svg:
-    """Draw the best and mean score of each generation over all evaluations.
+    """Draw the best and mean score of each generation against the evaluations.
 
     Infinite scores are off the axis: identical volumes (-inf) are drawn as triangles along the
     bottom, failures (+inf) as crosses along the top.
@@ -155,7 +155,7 @@ def scatter(
     width: float = 470.0,
     axis: str = "GSF",
 ) -> Svg:
-    """Draw scores over one parameter; a narrow valley means that the images determine it."""
+    """Draw scores against one parameter; a narrow valley means that the images determine it."""
     svg = Svg(width, 270.0)
     lower, upper = _with_room((parameter.lower, parameter.upper), 0.02)
     across = scale_between(lower, upper, 54, width - 10)

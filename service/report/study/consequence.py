@@ -18,13 +18,13 @@ from palpate.storage.records.tasks import TargetKind
 
 
 def quotable(results: StudyResults) -> Markup:
-    """Return a sentence on the constants that may and may not be quoted; empty without any."""
+    """Return a sentence on the constants that may and may not be quoted; empty if none."""
     if all(e.estimate is None and e.quotability is None for e in results.estimates.values()):
         return Markup("")
     known = results.identification
     if known is not None and known.ratios:
         return _said(_ratios(known, results), "Quote ratios only: {}") + Markup(
-            " The plate distance is known but no force is stated, so values in kPa cannot be "
+            " The plate distance is known but no force is given, so values in kPa cannot be "
             "determined."
         )
     answers = results.quotability
@@ -92,7 +92,7 @@ def next_step(results: StudyResults, target: TargetKind | None) -> Markup:
     known = results.identification
     if known is not None and any(c.identifiable == "ratio" for c in known.constants.values()):
         return Markup(
-            "State the plate force, or hold one stiffness, to find values instead of ratios."
+            "Give the plate force, or hold one stiffness, to find values instead of ratios."
         )
     weak = [] if known is None else [n for n in known.weak if n in results.estimates]
     if weak:

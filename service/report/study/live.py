@@ -1,9 +1,9 @@
 """The live page of a running study, written after every generation.
 
 A separate thread writes the page, so the search never waits for it, and it takes only a small
-fraction of the time: a page is postponed until the earlier ones have cost less than that. The
-first page does not count, because it also loads shared data. Slow parts, surfaces in three
-dimensions and scores by tissue, are left to the end.
+fraction of the time: a page is postponed until the earlier ones have cost less than that. The first
+page is not counted, because it also loads shared data. Slow parts, surfaces in three dimensions and
+scores by tissue, are left until the end.
 """
 
 import logging

@@ -99,7 +99,7 @@ def searched_parameters(
 def convergence_picture(
     points: Sequence[EvaluationPoint], generations: Sequence[GenerationScores], axis: str = "GSF"
 ) -> Picture | None:
-    """Draw the scores over evaluations; None if there are none."""
+    """Draw the scores against evaluations; None if there are none."""
     if not any(p.score < math.inf for p in points):
         return None
     best = [g.best for g in generations]
@@ -242,7 +242,7 @@ def body_data(bodies: Bodies, case: CaseSpec) -> Json | None:
         surfaces,
         [scan],
         [(BEST, "best candidate")],
-        "best candidate outside (+) or inside (−) of the target",
+        "best candidate outside (+) or inside (−) the target",
     )
 
 

@@ -156,7 +156,7 @@ def stages(times: Mapping[str, StageTime]) -> list[StageRow]:
 
 
 def outcome(solver: OutcomeJson) -> list[tuple[str, str | Markup]]:
-    """Return the solver's figures of the best simulation, without missing ones."""
+    """Return the solver's figures for the best simulation, without missing ones."""
     rows: list[tuple[str, str | Markup]] = []
     for name, value, unit, digits in (
         ("Displacement of the apex", solver.get("apex_displacement_um"), "µm", 4),

@@ -190,7 +190,7 @@ def _stage(vertices: FloatArray, pressed: Pressed, size: float, loads: bool) -> 
     sheets.append({"kind": "wall", "corners": _rounded(wall)})
     below = wall[0] - 0.03 * size * axis
     labels.append({"text": "chest wall", "at": _rounded(below), "kind": "wall"})
-    plate = "plate" if pressed.force_n is not None else "plate, held at a distance"
+    plate = "plate" if pressed.force_n is not None else "plate, held at a given distance"
     before = along.max() * axis + ends[1] * wide + (top + 0.05 * size) * deep
     labels.append({"text": plate, "at": _rounded(before), "kind": "plate"})
     return {"sheets": sheets, "arrows": arrows, "labels": labels}

@@ -98,7 +98,7 @@ router = APIRouter(
 
 @router.post("/studies", status_code=201, responses=_refusals(409, 413))
 def submit_study(service: Here, owner: Writer, given: StudySubmission, answer: Response) -> JobView:
-    """Queue a study. 201, or 200 with the job submitted earlier with the same key."""
+    """Queue a study. Status 201, or 200 with the job submitted earlier with the same key."""
     _check_room(service)
     spec = study_from(given.study, service.uploads, service.store, service.limits)
     job, new = service.queue.submit(
@@ -192,7 +192,7 @@ def change_priority(service: Here, owner: Writer, job: Known, given: PriorityCha
 
 @router.get("/jobs/{job}/results", responses=_refusals(404, 409))
 def get_results(service: Here, job: Known) -> dict[str, Any]:
-    """Return a study's results as `palpate report --json`, or a diagnosis record."""
+    """Return the results of a study (see `palpate report --json`), or a diagnosis record."""
     if job.kind == "study":
         return study_json(study_results(_begun(service, job)))
     path = job_file(service, job, "diagnosis.json")
@@ -206,7 +206,7 @@ def get_results(service: Here, job: Known) -> dict[str, Any]:
 def get_candidate(
     service: Here, job: Known, candidate: Annotated[int, PathParameter(ge=0, lt=2**53)]
 ) -> dict[str, Any]:
-    """Return the full record of one candidate of a study, as `palpate show --json`."""
+    """Return the full record of one candidate of a study; see `palpate show --json`."""
     if job.kind != "study":
         raise HTTPException(409, f"{job.id} is a diagnosis; only studies have candidates.")
     try:
@@ -238,7 +238,7 @@ async def follow_job(
     job: Known,
     tail: Followed,
 ) -> StreamingResponse:
-    """Follow a job by server-sent events: `job`, `record`, and finally `end`."""
+    """Follow a job with server-sent events: `job`, `record`, and finally `end`."""
     return event_stream(
         request, service, lambda gone: job_events(tail, lambda: view_now(service, job), gone)
     )

@@ -1,4 +1,4 @@
-"""Requests with JSON bodies without repeated keys."""
+"""JSON request bodies without repeated keys."""
 
 from collections.abc import Callable, Coroutine
 from typing import Any
@@ -28,7 +28,7 @@ class _StrictRequest(Request):
 
 
 class StrictRoute(APIRoute):
-    """A route that refuses JSON bodies with a repeated key."""
+    """A route that rejects JSON bodies with a repeated key."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return the handler of the route; see `APIRoute`."""

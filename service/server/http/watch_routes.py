@@ -34,7 +34,7 @@ router = APIRouter(
 
 @router.get("/events", response_class=StreamingResponse, responses=_refusals(503) | EVENT_STREAM)
 async def follow_all(service: Here, request: Request) -> StreamingResponse:
-    """Follow all jobs by server-sent `job` events, first the newest and all running ones."""
+    """Follow all jobs with server-sent `job` events, first the newest and all running ones."""
     return event_stream(request, service, lambda gone: all_job_events(JobNews(service).next, gone))
 
 
@@ -49,7 +49,7 @@ async def follow_points(
     job: Known,
     tail: Followed,
 ) -> StreamingResponse:
-    """Follow a job by compact server-sent events: `job`, `points`, and finally `end`."""
+    """Follow a job with compact server-sent events: `job`, `points`, and finally `end`."""
     return event_stream(
         request,
         service,

@@ -34,7 +34,7 @@ def bring_source(
     anyway: bool = False,
     within: str | None = None,
 ) -> tuple[DiagnosisRequest, Origin, tuple[str, ...]]:
-    """Read the source into the store; as a task, so a damaged image affects only a worker.
+    """Read the source into the store, in a task, so a damaged image affects only a worker.
 
     An upload may only name files in its folder `within`.
 
@@ -62,7 +62,7 @@ def run_diagnosis(
     Raises
     ------
     PalpateError, Interrupted
-        As `service.diagnosis.run.run`.
+        As in `service.diagnosis.run.run`.
     """
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)

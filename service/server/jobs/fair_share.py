@@ -1,8 +1,8 @@
 """Fair sharing of one cluster's workers among jobs.
 
-Jobs of higher priority come first. Among equals the next free slot goes to the owner who
-holds the fewest, and to that owner's job with the fewest. Slots that a job does not need while it
-waits for the last candidates of a generation go to others.
+Jobs of higher priority come first. Among equals the next free slot goes to the owner who holds the
+fewest slots, and to that owner's job with the fewest. Slots that a job does not need while it waits
+for the last candidates of a generation go to others.
 """
 
 import threading

@@ -12,19 +12,19 @@ class Limits:
     Parameters
     ----------
     body_bytes : int
-        Of a request other than an upload.
+        Size of a request other than an upload.
     upload_bytes, uploads_bytes : int
-        Of one uploaded file, and of all uploads together.
+        Size of one uploaded file, and of all uploads together.
     uploads_files : int
         Number of uploaded files.
     evaluations : int
-        Of one study.
+        Number of evaluations in one study.
     population : int
-        Of one generation.
+        Number of candidates in one generation.
     open_streams : int
-        Clients following events at once.
+        Number of clients following events at once.
     waiting_jobs : int
-        Jobs that have not ended.
+        Number of jobs that have not ended.
     """
 
     body_bytes: int = 512 * 1024

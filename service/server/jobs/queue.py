@@ -49,7 +49,7 @@ class Job:
     Parameters
     ----------
     id : str
-        Name in the service, and of its folder.
+        Name of the job and of its folder.
     kind : {"study", "diagnosis"}
     owner : str
         Name of the token that submitted it.
@@ -60,7 +60,7 @@ class Job:
     request : mapping
         The request; see `service.server.jobs`.
     key : str
-        Text chosen by the client: the same key from the same owner is the same job.
+        Text chosen by the client: the same key from the same owner identifies the same job.
     number : int
         Order of submission, from 0.
     state : str

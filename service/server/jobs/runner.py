@@ -245,7 +245,7 @@ class Runner:
         return path
 
     def _set_back(self, job: Job, error: ClusterError, cluster: Cluster) -> None:
-        """Put a job back to waiting; fail one that makes no progress."""
+        """Put a job back to waiting, or mark it failed if it makes no progress."""
         journal = StudyLayout(self.home.job(job.id)).journal
         size = journal.stat().st_size if journal.is_file() else 0
         setback = self._setbacks.setdefault(job.id, _Setback())

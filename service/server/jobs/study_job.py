@@ -63,7 +63,7 @@ def run_job(
     Raises
     ------
     PalpateError, Interrupted
-        As `service.run_study.run_study`.
+        As in `service.run_study.run_study`.
     ReportError
         If the study has ended but its page could not be written.
     """
@@ -108,4 +108,6 @@ def write_report(folder: Path, quick: bool) -> None:
     if ended.returncode != 0:
         lines = ended.stderr.decode(errors="replace").strip().splitlines()
         _log.error("The page of %s has failed: %s", folder, "\n".join(lines))
-        raise ReportError(lines[-1] if lines else f"its process ended with {ended.returncode}")
+        raise ReportError(
+            lines[-1] if lines else f"its process ended with exit code {ended.returncode}"
+        )

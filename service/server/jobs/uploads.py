@@ -253,7 +253,7 @@ class _Writing:
 
 
 def _check(path: Path, name: str) -> None:
-    """Refuse files that a reader would refuse; see `workers.input_files`.
+    """Reject files that a reader would reject; see `workers.input_files`.
 
     Raises
     ------
@@ -270,7 +270,7 @@ def _check(path: Path, name: str) -> None:
 
 def _check_text(path: Path, name: str) -> None:
     if path.stat().st_size > TEXT_BYTES:
-        raise TooLargeError(f"{name} may have {TEXT_BYTES} bytes.")
+        raise TooLargeError(f"{name} may have at most {TEXT_BYTES} bytes.")
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:

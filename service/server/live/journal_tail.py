@@ -26,7 +26,7 @@ class JournalLine:
 
 
 class JournalTail:
-    """New records of a journal from an offset on.
+    """New records of a journal, starting at an offset.
 
     Parameters
     ----------

@@ -132,5 +132,5 @@ class RunLog(Observer):
         _log.info("stopped: %s", reason)
 
     def note(self, text: str) -> None:
-        """Log a remark of a command."""
+        """Log a remark from a command."""
         _log.info(text)

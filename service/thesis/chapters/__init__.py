@@ -1,1 +1,1 @@
-"""Chapters of the book, one module each: from results to text, tables and pictures."""
+"""Chapters of the thesis page, one module each: from results to text, tables and pictures."""

@@ -42,12 +42,12 @@ def chapter(found: CoefficientsResult, cost: Cost | None) -> Chapter:
             picture(
                 charts.coefficient_curves(selection),
                 "28 coefficients over the eight deformations of the bar, normalised.",
-                "Each coefficient over its largest magnitude (thesis Fig. 3.5). Dashed: "
+                "Each coefficient divided by its largest magnitude (thesis Fig. 3.5). Dashed: "
                 "rejected by the criterion of the thesis.",
             ),
             picture(
                 charts.cylinder_curves(found.cylinder),
-                "JC, DC and GSF of the cylinder over the angle of rotation.",
+                "JC, DC and GSF of the cylinder against the angle of rotation.",
                 "The rotated cylinder (thesis Figs. 3.7 and 3.8).",
             ),
         ),

@@ -29,7 +29,7 @@ def chapter(found: Sequence[Exposed], cost: Cost | None, store: str, scale: Scal
         "difference as one figure. Geometry, spectrum and dose are not printed.",
         "A cone from a point 650 mm above the detector through the labels of the voxels, exact "
         "path lengths, a tungsten tube at 28 kV behind rhodium, 60 mAs, an ideal detector with "
-        f"pixels of {PIXEL_MM[scale]:g} mm, Poisson's law in every bin of energy and electronic "
+        f"pixels of {PIXEL_MM[scale]:g} mm, Poisson noise in every energy bin and electronic "
         "noise. Every phantom in both views, as PNG and DICOM next to this page.",
         tables=(_table(found),),
         pictures=_pictures(found, store, scale),

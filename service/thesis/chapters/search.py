@@ -170,7 +170,7 @@ def _spent(found: SearchResult) -> Table:
         ]
         for s in found.searches
     ]
-    headings = ("Search", "Evaluations", "Workers' time", "On the clock", "Why it stopped")
+    headings = ("Search", "Evaluations", "Workers' time", "Wall time", "Why it stopped")
     return Table("What each search cost", headings, rows, (4,))
 
 

@@ -24,14 +24,14 @@ def chapter(found: Sequence[Varied], cost: Cost | None) -> Chapter:
         f"MHD at most {number(one.most_mhd_voxels, 3)} voxels (thesis: above 0.93 and below 1 "
         f"voxel). {strongest} has the largest influence.",
         "All constants but η glandular are held at the target; η glandular varies from 50 to "
-        "200 kPa, and JC and MHD of the deformed phantom are plotted over it.",
+        "200 kPa, and JC and MHD of the deformed phantom are plotted against it.",
         f"The same for every constant, each over its interval: phantom {SHOWN_PHANTOM}, target X1 "
-        "without skin, and the skin's modulus on the model with it.",
+        "without skin, and the skin's modulus on the model with skin.",
         tables=(_table(found),),
         pictures=(
             picture(
                 charts.sensitivity_curves(found),
-                "JC and MHD over each constant.",
+                "JC and MHD against each constant.",
                 "Dotted: the target. A flat curve cannot be identified.",
             ),
         ),

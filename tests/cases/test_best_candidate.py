@@ -104,7 +104,7 @@ def test_genetic_search_ranks_by_gsf_then_by_number() -> None:
     assert best.candidate == 1
 
 
-def test_coarse_resolutions_count_only_without_full_resolution_scores() -> None:
+def test_coarse_resolutions_are_used_only_without_full_resolution_scores() -> None:
     coarse = [evaluation(0, -9.0, 1.0, level=0), evaluation(1, -8.0, 2.0, level=1)]
     best = best_of(by_candidate(*coarse))
     assert best is not None

@@ -251,7 +251,7 @@ def test_an_interval_contains_the_error_of_the_mesh() -> None:
     assert in_words(constant.errors, 10.0) == "mesh 2.6 %, image 1 %"
 
 
-def test_decisive_evidence_grows_with_the_square_of_the_pull() -> None:
+def test_decisive_evidence_needs_a_large_gradient() -> None:
     gains = []
     for gradient in (0.0, 400.0, 800.0):
         others = OtherProblems(with_nuisance("motion_x", gradient), (PLACE,))

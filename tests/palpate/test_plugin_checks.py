@@ -168,11 +168,11 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
     ),
     "an effect with a name in use": (
         lambda: check_effect(replace(WALL_HOLD, name="own_hold")),
-        "has parameters of breast in use",
+        "has parameter names that breast already uses",
     ),
     "an observation of a wrong shape": (
         lambda: check_effect(replace(RIGID_MOTION, observation=_wrong_rows)),
-        "one row a point and one column a parameter",
+        "one row per point and one column per parameter",
     ),
     "a law whose stress is not the derivative of its energy": (
         lambda: check_law(WrongStress(0.003)),
@@ -185,7 +185,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
     ),
     "a score that changes bodies": (
         lambda: check_score(Objective("apart", "Apart", measure=_overwriting)),
-        "differs from one call to the next|changes the bodies",
+        "gives different values from one call to the next|changes the bodies",
     ),
     "a search that redraws candidates": (
         lambda: check_search(_strategy(Drawn)),
@@ -197,7 +197,7 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
     ),
     "an organ under another name": (
         lambda: check_organ(replace(BREAST_PLUGIN, name="udder"), BREAST_CASE),
-        "has the name 'breast'",
+        "is named 'breast'",
     ),
     "an organ whose checks are missing": (
         lambda: check_organ(

@@ -43,7 +43,7 @@ def test_the_limit_of_evaluations_is_not_exceeded(tmp_path: Path) -> None:
 @pytest.mark.parametrize("spec", [SPEC, STEADY], ids=["generations", "steady"])
 def test_time_ends_a_search(tmp_path: Path, spec: str) -> None:
     reason = ended(tmp_path / "demo", "stop: {hours: 1.0e-9}", spec)
-    assert reason == "the 1e-09 h of search.stop.hours are over"
+    assert reason == "the time limit search.stop.hours (1e-09 h) has been reached"
     assert len(told(tmp_path / "demo")) < 12
 
 

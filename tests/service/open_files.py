@@ -4,7 +4,7 @@
 
     python open_files.py CASE STORE OTHER
 
-writes the lists to standard output as JSON. OTHER is opened at the end, to see that a list
+writes the lists to standard output as JSON. OTHER is opened at the end, to check that the lists
 would show it.
 """
 

@@ -8,7 +8,7 @@ import pytest
 from palpate.service import formatting
 
 
-def test_docstring_examples() -> None:
+def test_docstring_examples_run() -> None:
     results = doctest.testmod(formatting)
     assert results.failed == 0
     assert results.attempted >= 8
@@ -25,11 +25,11 @@ def test_docstring_examples() -> None:
         (0.1, "0.1"),
     ],
 )
-def test_numbers(value: float, said: str) -> None:
+def test_numbers_are_rounded_for_readers(value: float, said: str) -> None:
     assert formatting.number(value) == said
 
 
-def test_sign_of_error() -> None:
+def test_relative_error_is_signed() -> None:
     assert formatting.signed_error(9.0, 10.0) == pytest.approx(-0.1)
     assert formatting.signed_error(11.0, 10.0) == pytest.approx(0.1)
     assert formatting.signed_error(1.0, 0.0) is None

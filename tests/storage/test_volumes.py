@@ -155,7 +155,7 @@ def test_field_round_trips(store):
 @pytest.mark.parametrize("bad", [np.zeros((4, 4)), np.zeros(3), np.zeros((4, 3), np.float32)])
 def test_refuses_invalid_displacement(store, bad):
     with pytest.raises(
-        StoreError, match=r"expected \(n, 3\), or \(n, 2\) of a section, and float64"
+        StoreError, match=r"expected \(n, 3\), or \(n, 2\) for a section, and float64"
     ):
         save_field(store, "f", bad)
     assert not has_field(store, "f")

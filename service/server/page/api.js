@@ -14,7 +14,7 @@ const answered = async (request) => {
   try {
     response = await request;
   } catch {
-    throw new Refused(0, "The service does not answer. This page continues when it is back.");
+    throw new Refused(0, "The service does not answer. This page will continue when it is back.");
   }
   if (response.status === 204) return null;
   const text = await response.text();

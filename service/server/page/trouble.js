@@ -33,6 +33,6 @@ export const attempt = async (act) => {
 export const connected = (there) => {
   if (there && ofConnection) complain(null);
   if (there) return;
-  complain(new Refused(0, "The service does not answer. This page continues when it is back."));
+  complain(new Refused(0, "The service does not answer. This page will continue when it is back."));
   ofConnection = true;
 };

@@ -231,7 +231,7 @@ def test_warns_of_supports_that_carry_part_of_a_small_force(tmp_path):
     assert supported(inverse, [problem], [strong], [moved]) == ()
 
 
-def test_causes_without_an_effect_are_about_the_bench():
+def test_causes_without_an_effect_concern_the_bench():
     text = " ".join(" ".join(pair) for pair in NOT_SIMULATED).lower()
     assert not any(word in text for word in ("gland", "fat", "nipple", "skin", "breast", "scan"))
 

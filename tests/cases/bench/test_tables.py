@@ -53,7 +53,7 @@ def test_lost_marker_is_a_missing_value(tmp_path, number, frames, both):
     )
 
 
-def test_repeated_place_of_a_marker_is_missing_while_others_move(tmp_path):
+def test_repeated_position_of_a_marker_is_missing_while_others_move(tmp_path):
     noisy = rows() + np.pad(np.random.default_rng(1).normal(0, 0.01, (13, 12)), ((0, 0), (1, 0)))
     stale = noisy.copy()
     stale[5:10, 7:10] = stale[4, 7:10]

@@ -111,7 +111,7 @@ WRONG: dict[str, tuple[Change, str]] = {
 
 
 @pytest.mark.parametrize(("change", "said"), WRONG.values(), ids=WRONG)
-def test_target_in_another_place_or_size_is_refused(change: Change, said: str) -> None:
+def test_target_of_another_position_or_size_is_refused(change: Change, said: str) -> None:
     rest, scan = usual_pair()
     here, there = (replace(v, frame_uid="1.2.3") for v in (rest, scan))
     assert findings(here, there) == []
@@ -141,7 +141,7 @@ def _case() -> Any:
     return case_of({"force_n": 60})
 
 
-def test_effects_of_the_model_may_move_the_body() -> None:
+def test_a_shift_that_effects_may_explain_is_only_a_warning() -> None:
     rest, scan = usual_pair()
     found = findings(rest, shifted(scan, 0, 0, 6), constants={"tilt_depth_deg": 2.0})
     assert [one.severity for one in found] == ["warning"]
@@ -276,7 +276,7 @@ def test_run_and_diagnose_refuse_a_mirror_image(
         ("import", "rest.nrrd", "--name", "rest"),
     ],
 )
-def test_every_entrance_refuses_a_body_in_metres(here: Path, command: tuple[str, ...]) -> None:
+def test_every_command_refuses_a_body_in_metres(here: Path, command: tuple[str, ...]) -> None:
     for name, volume in zip(("rest", "pressed"), usual_pair(), strict=True):
         write(here / f"{name}.nrrd", scaled(volume, 1e-3))
     result = palpate(*command)
@@ -307,7 +307,7 @@ def test_omitted_plates_start_at_the_body(here: Path) -> None:
     assert case.plate_starts_mm(case.loads[0]) == pytest.approx((-50.0, 50.0))
 
 
-def test_case_is_aligned_if_its_file_asks(here: Path) -> None:
+def test_case_is_aligned_if_its_file_requests_it(here: Path) -> None:
     from palpate.workers.organs.breast.case.files import read_case
 
     write(here / "pressed.nrrd", shifted(usual_pair()[1], 9, -7, 20))

@@ -125,7 +125,7 @@ def test_a_diagnosis_of_a_study_takes_the_settings_of_the_study(rest: Volume) ->
     assert problem.constants[Tissue.FAT].poisson == 0.47
 
 
-def test_a_blind_case_states_its_physics_and_has_no_defaults(tmp_path: Path) -> None:
+def test_a_blind_case_contains_its_physics_without_defaults(tmp_path: Path) -> None:
     truth = draw(4, "tilt", one_direction=True)
     write_case(truth, tmp_path / "case", tmp_path / "truth", corners=700, spacing_mm=1.5)
     file = read_case_file(tmp_path / "case" / "case.yaml")
@@ -187,7 +187,7 @@ def case_on_disk(
 
 
 @pytest.mark.slow
-def test_a_body_of_palpates_own_solver_shows_no_gap_with_defaults(
+def test_a_body_from_palpates_own_solver_shows_no_gap_with_defaults(
     tmp_path: Path, rest: Volume
 ) -> None:
     """The loaded scan is simulated with the default physics, on a different mesh."""

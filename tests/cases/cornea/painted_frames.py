@@ -1,4 +1,4 @@
-"""Frames of a generated cornea as files, with artefacts of viewers, eyelids and exports."""
+"""Frames of a generated cornea as files, with artefacts from viewers, eyelids and exports."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -65,7 +65,7 @@ def saved(pixels: Pixels, path: Path, **more: Any) -> dict[str, Any]:
 
 
 def surface_pixels(section: Section, lift: float = 0.0) -> list[tuple[float, float]]:
-    """Return points of the anterior surface in pixels, lifted by some of them."""
+    """Return points of the anterior surface in pixels, lifted by `lift` pixels."""
     x = np.linspace(0.0, SHAPE[1] * PIXEL_MM[0], 200)
     y = np.interp(x, *section.anterior_mm.T)
     return [(a / PIXEL_MM[0], -b / PIXEL_MM[1] - lift) for a, b in zip(x, y, strict=True)]

@@ -146,7 +146,7 @@ def test_refuses_a_thickness_that_was_not_corrected_for_refraction(tmp_path: Pat
     assert "set refraction: null" in found[0].text
 
 
-def test_refuses_exchanged_frames(tmp_path: Path) -> None:
+def test_refuses_swapped_frames(tmp_path: Path) -> None:
     assert "look swapped" in only(findings(tmp_path, DENTED, REST))
 
 
@@ -250,7 +250,7 @@ def test_refuses_a_file_with_several_images(tmp_path: Path) -> None:
         ({"section": {"chord_mm": 4.5}}, "chord_mm is 4.5 mm; the width of a section is 6 to 14"),
     ],
 )
-def test_refuses_a_generated_section_of_no_cornea(stated: dict[str, Any], text: str) -> None:
+def test_refuses_a_generated_section_unlike_a_cornea(stated: dict[str, Any], text: str) -> None:
     case = validated(CorneaCase, {"organ": "cornea", "reference": stated})
     assert text in only(list(CHECKS.of_case(case)))
 

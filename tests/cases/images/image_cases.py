@@ -33,7 +33,7 @@ def breast() -> Labels:
 
 
 def tissues() -> Labels:
-    """Return the same body in numbers of `Tissue`."""
+    """Return the same body with the numbers of `Tissue`."""
     return np.array([0, 3, 1, 2, 5], np.uint8)[breast()]
 
 
@@ -67,7 +67,7 @@ def write_nifti(
     qform: NDArray[np.float64] | None = None,
     codes: tuple[int, int] = (1, 1),
 ) -> Path:
-    """Write [z, y, x] labels with an sform and a qform of these codes; pixdim is the qform's."""
+    """Write [z, y, x] labels with an sform and a qform with these codes; pixdim is the qform's."""
     image = nib.Nifti1Image(values.transpose(), None)
     if qform is not None:
         image.set_qform(qform, code=codes[1])
@@ -78,7 +78,7 @@ def write_nifti(
 
 
 def write_series(folder: Path, values: Labels, *, gap_mm: float = 2.0, **tags: Any) -> Path:
-    """Write [z, y, x] labels as one DICOM file a slice; a tag may be a function of the slice."""
+    """Write [z, y, x] labels as one DICOM file per slice; a tag may be a function of the slice."""
     folder.mkdir()
     series = generate_uid()
     for z, pixels in enumerate(values):

@@ -80,10 +80,10 @@ def xml_names(path: Path, names: dict[int, str]) -> Path:
 
 
 class TestNamesInFiles:
-    def test_slicer(self, tmp_path: Path) -> None:
+    def test_slicer_segment_names_are_read(self, tmp_path: Path) -> None:
         np.testing.assert_array_equal(read_tissues(slicer(tmp_path)).volume.values, expected())
 
-    def test_dicom_segmentation(self, tmp_path: Path) -> None:
+    def test_dicom_segment_names_are_read(self, tmp_path: Path) -> None:
         names = {1: ("Skin", "Skin"), 2: ("Segment_2", "Adipose tissue"), 3: ("FGT", "Tissue")}
         names[4] = ("Cooper's ligament", "Tissue")
         path = write_segmentation(tmp_path / "a.dcm", breast(), names)
@@ -94,7 +94,7 @@ class TestNamesInFiles:
         with pytest.raises(InputError, match="labelled 'Fat', but its property type is 'Skin'"):
             read_tissues(path)
 
-    def test_nifti_extension(self, tmp_path: Path) -> None:
+    def test_names_in_a_nifti_extension_are_read(self, tmp_path: Path) -> None:
         names = {1: "skin", 2: "subcutaneous_fat", 3: "glandular", 4: "ligament"}
         path = xml_names(tmp_path / "a.nii.gz", names)
         np.testing.assert_array_equal(read_tissues(path).volume.values, expected())
@@ -108,7 +108,7 @@ class TestNamesInFiles:
             ("dataset.json", json.dumps({"labels": {n: k for k, n in SLICER.items()}})),
         ],
     )
-    def test_label_files(self, tmp_path: Path, file: str, text: str) -> None:
+    def test_label_files_are_read(self, tmp_path: Path, file: str, text: str) -> None:
         image = write_nrrd(tmp_path / "a.nrrd", breast())
         (tmp_path / file).write_text(text)
         read = read_tissues(image, str(tmp_path / file))
@@ -124,7 +124,7 @@ class TestNamesInFiles:
             ("a.ctbl", "# nothing\n", "names no label"),
         ],
     )
-    def test_refuses_other_label_files(
+    def test_refuses_invalid_label_files(
         self, tmp_path: Path, file: str, text: str, said: str
     ) -> None:
         (tmp_path / file).write_text(text)
@@ -150,7 +150,7 @@ class TestStatedLabels:
         read = read_tissues(slicer(tmp_path), right)
         np.testing.assert_array_equal(read.volume.values, expected())
 
-    def test_names_are_taken_as_stated(self, tmp_path: Path) -> None:
+    def test_names_are_mapped_as_given(self, tmp_path: Path) -> None:
         read = read_tissues(slicer(tmp_path), {"skin": "fat", "Ligament": "fat"})
         assert set(np.unique(read.volume.values)) == {0, Tissue.FAT, Tissue.GLANDULAR}
 
@@ -210,7 +210,7 @@ class TestStatedLabels:
             ("", None),
         ],
     )
-    def test_tissues_by_name(self, name: str, tissue: Tissue | None) -> None:
+    def test_tissues_are_recognised_by_name(self, name: str, tissue: Tissue | None) -> None:
         assert tissue_in(name) == tissue
 
 
@@ -235,7 +235,7 @@ class TestStudiesAndImports:
         again = type(spec).model_validate(spec.as_dict())
         assert again.as_dict() == spec.as_dict()
 
-    def test_numbers_survive_json(self) -> None:
+    def test_numbers_round_trip_through_json(self) -> None:
         reference = {"volume": "a", "labels": {"0": "air", "2": "Fat"}}
         case = BreastCase.model_validate({"reference": reference, "load": {"force_n": 1}})
         assert case.reference.labels == {0: "air", 2: "fat"}
@@ -302,7 +302,7 @@ class TestCases:
         found = self.images(tmp_path)("a.seg.nrrd").values
         np.testing.assert_array_equal(found, np.array([0, 1, 1, 2], np.uint8)[values])
 
-    def test_ligament_must_be_stated(self, tmp_path: Path) -> None:
+    def test_ligament_must_be_given(self, tmp_path: Path) -> None:
         slicer(tmp_path)
         with pytest.raises(InputError, match="has ligament, but a diagnosis has only air, fat"):
             self.images(tmp_path)("a.seg.nrrd")

@@ -239,7 +239,7 @@ class TestSlices:
         with pytest.raises(InputError, match=said):
             read_volume(tmp_path, spacing_mm=(2.0, 2.0, 2.0))
 
-    def test_imagej_and_ome_state_their_spacing(self, tmp_path: Path) -> None:
+    def test_spacing_of_imagej_and_ome_files_is_read(self, tmp_path: Path) -> None:
         tifffile.imwrite(
             tmp_path / "a.tif",
             breast(),
@@ -258,7 +258,7 @@ class TestSlices:
 
 
 class TestDerivedVolumes:
-    def test_keep_frame_and_unknown_place(self) -> None:
+    def test_derived_volumes_keep_frame_and_unknown_place(self) -> None:
         body = Volume(tissues(), (2.0, 2.0, 2.0), (1.0, 2.0, 3.0), FRAME, place_known=False)
         mesh = build_hierarchy(body, element_size_mm=4.0, nodes=None).finest.mesh
         derived = {
@@ -272,7 +272,7 @@ class TestDerivedVolumes:
         for name, volume in derived.items():
             assert (volume.frame_uid, volume.place_known) == (FRAME, False), name
 
-    def test_digests_count_the_frame_but_stay_for_ordinary_volumes(self, tmp_path: Path) -> None:
+    def test_digests_include_the_frame_except_for_ordinary_volumes(self, tmp_path: Path) -> None:
         store = TaskStore(tmp_path / "store")
         ordinary = Volume(tissues(), (2.0, 2.0, 2.0))
         names = {
@@ -317,7 +317,7 @@ class TestImport:
     def _in_a_folder(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.chdir(tmp_path)
 
-    def test_states_an_unknown_place_and_the_slices_it_read(
+    def test_prints_an_unknown_place_and_the_slices_read(
         self, capsys: pytest.CaptureFixture[str]
     ) -> None:
         Path("stack").mkdir()
@@ -327,10 +327,10 @@ class TestImport:
         assert main(["import", "stack", *options]) == 0
         out = capsys.readouterr().out
         assert "from z_0.0.tif to z_4.5.tif" in out
-        assert "unknown: the file does not state where its voxels are" in out
+        assert "unknown: the file does not give the position of its voxels" in out
         assert "towards" not in out
 
-    def test_states_the_frame_and_the_directions(self, capsys: pytest.CaptureFixture[str]) -> None:
+    def test_prints_the_frame_and_the_directions(self, capsys: pytest.CaptureFixture[str]) -> None:
         write_series(Path("s"), tissues(), FrameOfReferenceUID=FRAME)
         options = ["--name", "a", "--axes", "L S A", "--picture", "a.png", "--anyway"]
         assert main(["import", "s", *options]) == 0

@@ -52,7 +52,7 @@ def test_rejects_evaluations_that_do_not_fill_generations(tmp_path: Path) -> Non
 
 @pytest.mark.timeout(900)
 @pytest.mark.slow
-def test_published_figures() -> None:
+def test_published_figures_are_reproduced() -> None:
     """Takes about ten minutes, on a machine without other load."""
     rows = {row["what"]: row for row in all_rows(20_000)}
     assert rows["soak"]["overhead_ms"] <= 15

@@ -70,7 +70,7 @@ def test_failed_stage_is_named_with_its_size(tmp_path: Path) -> None:
         list(_solver([300], 500.0, tmp_path))
 
 
-def test_row_formatting() -> None:
+def test_rows_are_formatted_with_units() -> None:
     row = Row("two at once", "1 mm, 90 nodes requested", 91, 7, 1.5, 256.0, 1.25, "one alone")
     for part in ("two at once", "(91)", "1.5000 s", "256 MB", "1.25 x one alone"):
         assert part in line(row)
@@ -83,7 +83,9 @@ def test_help_names_the_independent_solver(capsys: pytest.CaptureFixture[str]) -
     assert "tests.benchmarks.independent" in capsys.readouterr().out
 
 
-def test_json(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_output_has_every_row(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     rows = [
         Row("solve", "s", 5, None, 0.1, 1.0),
         Row("unknown", "s", 5, None, 0.01, None, 2.0, "x"),

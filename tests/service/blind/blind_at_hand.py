@@ -92,8 +92,8 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
 
 
 def _out_of_plates(places: FloatArray, at: Equilibrium) -> FloatArray:
-    """Return displacements out of the plates, from deeper than any node is: a mesh cuts the corners
-    of a body, and the remaining corners would be inside a plate."""
+    """Return displacements that move places deeper than any node out of the plates: a mesh cuts the
+    corners of a body, and the remaining corners would be inside a plate."""
     out = np.zeros_like(places)
     for contact in at.levels[-1].plate_contacts(at.states[-1], at.stage):
         found = contact.surface.gap(places)
@@ -140,7 +140,7 @@ def make_set(root: Path, cases: int = 2, task: Any = small_case, **more: Any) ->
 
 
 def record(group: str = "single", **changes: Any) -> CaseRecord:
-    """Return the record of a tilted plate that is found, with changes."""
+    """Return the record of a tilted plate that is found, with some fields changed."""
     given: dict[str, Any] = {
         "name": "c0",
         "kind": "tilt",

@@ -142,7 +142,7 @@ def test_distance_of_a_lump_is_between_scan_coordinates() -> None:
     assert lump_apart_mm(truth, found, None) == pytest.approx(math.sqrt(12.0))
 
 
-def test_earlier_answers_have_offsets_of_a_lump_from_the_middle() -> None:
+def test_earlier_answers_give_a_lump_relative_to_the_middle() -> None:
     truth = Truth.model_validate(draw(5, "inclusion").record())
     at = truth.causes[0].parameters["centre_mm"]
     off = {f"inclusion_{axis}_mm": at[n] - 10.0 for n, axis in enumerate("xyz")}

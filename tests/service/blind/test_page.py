@@ -146,7 +146,7 @@ Call = Callable[..., tuple[int, str, str]]
         (["score", "set"], "set is not a sealed set"),
         (["score", "set", "--directions", "z"], "'z' is not one of"),
         (["score", "one", "two", "--truth", "t"], "--truth names the truths of one set"),
-        (["score", "set", "./set"], "is named twice: its cases would count double"),
+        (["score", "set", "./set"], "is given twice: its cases would be counted twice"),
     ],
 )
 def test_invalid_arguments_give_one_message(call: Call, arguments: list[str], said: str) -> None:

@@ -1,4 +1,4 @@
-"""A set from its making to its page, on small bodies of our own solver; and refusals."""
+"""A set from its creation to its page, on small bodies from our own solver; and invalid use."""
 
 import json
 import shutil
@@ -204,7 +204,7 @@ def test_rejects_a_changed_case(copy: BlindSet, tmp_path: Path) -> None:
 
 
 def test_changed_diagnosis_must_be_declared(copy: BlindSet, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"sealed against: mesh changed\. .* --declare"):
+    with pytest.raises(InputError, match=r"sealed for: mesh changed\. .* --declare"):
         unanswered(Answering(copy, tmp_path, "all", NODES + 1))
     asked = Answering(copy, tmp_path, "all", NODES + 1, declared="a finer mesh")
     assert unanswered(asked) == []

@@ -67,7 +67,7 @@ WRONG: dict[str, Any] = {
 # Intervals
 
 
-def test_wilsons_interval() -> None:
+def test_wilson_interval_matches_published_values() -> None:
     # R. G. Newcombe, Stat. Med. 17 (1998) 857, table I: 81 of 263 gives 0.2553 to 0.3662.
     found = share([True] * 81 + [False] * 182)
     assert (found.low, found.high) == pytest.approx((0.2553, 0.3662), abs=5e-5)
@@ -87,7 +87,7 @@ def test_bootstrap_interval_has_its_nominal_coverage() -> None:
     assert median([1.0, 2.0, 30.0]).value == 2.0
 
 
-def test_correlation_is_pearsons() -> None:
+def test_correlation_equals_pearsons_coefficient() -> None:
     found = correlation([0, 1, 2, 3], [0, 1, 4, 9])
     assert found.value == pytest.approx(15 / sqrt(5 * 49))
     assert correlation([1, 2], [1, 2]).value is None
@@ -167,11 +167,11 @@ def test_weak_effects_are_scored_separately() -> None:
     assert value(found, "first_strong") == (1.0, 2)
 
 
-def test_without_a_floor_all_are_visible() -> None:
+def test_without_a_floor_all_gaps_are_visible() -> None:
     assert visible(record(true_before_mm=0.001), None)
 
 
-def test_causes_outside_the_catalogue() -> None:
+def test_causes_outside_the_catalogue_have_their_own_metrics() -> None:
     def unlike(answer: str, gap: float) -> CaseRecord:
         return nothing("unlike", kind="swelling", answer=answer, true_before_mm=gap)
 
@@ -196,7 +196,7 @@ def test_causes_outside_the_catalogue() -> None:
     assert not relative.covered  # no cause in the catalogue is true
 
 
-def test_pairs() -> None:
+def test_pairs_are_scored_by_the_first_and_by_both_named_effects() -> None:
     two = {"effects": ("plate_tilt", "plate_friction"), "families": ("plate geometry", "boundary")}
     first = record("pair", **two)
     both = record("pair", **two, primary=("plate_friction", "plate_tilt"))
@@ -230,7 +230,7 @@ def test_triples_are_scored_by_the_first_and_by_two_named_effects() -> None:
     assert rows == ("control", "plate_tilt + growth + plate_friction")
 
 
-def test_gaps_and_shrinkage() -> None:
+def test_errors_of_gaps_and_shrinkage_match_hand_calculation() -> None:
     # True shrinkage 1 - 0.1^2 / 0.2^2 = 0.75 and 1 - 0.3^2 / 0.4^2 = 0.4375.
     a = record(
         true_before_mm=0.2,
@@ -302,7 +302,7 @@ def test_baselines_always_name_an_effect() -> None:
     assert value(found, "baseline_chance") == (0.5, 2)
 
 
-def test_silent_baselines_have_as_few_false_alarms_as_the_diagnosis() -> None:
+def test_baselines_with_a_threshold_have_as_few_false_alarms_as_the_diagnosis() -> None:
     def body(group: str, loud: float, **more: object) -> CaseRecord:
         named = {"refit": "plate_tilt"}
         return record(group, named_by=named, loudness={"refit": loud}, **more)
@@ -340,7 +340,7 @@ def given(no_gap: float, none: float, tilt: float, friction: float) -> dict[str,
     return {"no-gap": no_gap, "none-of-these": none, "plate_tilt": tilt, "plate_friction": friction}
 
 
-def test_the_brier_score() -> None:
+def test_brier_score_matches_hand_calculation() -> None:
     sure = record(probabilities=given(0, 0, 1, 0))
     half = record(probabilities=given(0.5, 0, 0.5, 0))
     assert brier([sure]).value == 0
@@ -350,14 +350,14 @@ def test_the_brier_score() -> None:
     assert brier_of_base_rates([sure, nothing()]).value == 0.5
 
 
-def test_the_log_score() -> None:
+def test_log_score_matches_hand_calculation() -> None:
     half = record(probabilities=given(0.5, 0, 0.5, 0))
     assert log_score([half]).value == pytest.approx(2 * math.log(2))
     wrong = record(probabilities=given(1, 0, 0, 0))  # each bounded at one in 10,000
     assert log_score([wrong]).value == pytest.approx(2 * math.log(1e4))
 
 
-def test_the_expected_calibration_error() -> None:
+def test_expected_calibration_error_matches_hand_calculation() -> None:
     """Three statements of 80 %, one of which is true, and one of 0 that is false."""
     cases = [
         record(probabilities={"plate_tilt": 0.8, "no-gap": 0.0}),
@@ -369,7 +369,7 @@ def test_the_expected_calibration_error() -> None:
     assert calibration_error([]).value is None
 
 
-def test_statements_about_relatives_are_about_families() -> None:
+def test_statements_about_relatives_refer_to_families() -> None:
     bent = record(
         "relative",
         effects=(),
@@ -382,7 +382,7 @@ def test_statements_about_relatives_are_about_families() -> None:
     assert sure_statements([bent]).value == 1.0
 
 
-def test_the_calibration_curve() -> None:
+def test_calibration_curve_groups_statements_by_probability() -> None:
     cases = [
         record(probabilities={"plate_tilt": 0.75}),
         record(probabilities={"no-gap": 0.71}),

@@ -48,7 +48,7 @@ def truth() -> Moved:
 
 @pytest.fixture(scope="module")
 def noisy() -> tuple[FloatArray, FloatArray]:
-    """Points that a noisy scan puts 0.3 mm off the interface, inside the rim of the truth."""
+    """Provide points that noise shifts 0.3 mm off the interface, inside the rim of the truth."""
     points, normals = ellipsoid(600, 1)
     inside = points[:, 2] > 0.4 * AXES[2]
     points, normals = points[inside], normals[inside]
@@ -115,7 +115,7 @@ def test_gap_equals_a_known_error_field(truth: Moved, noisy: tuple[FloatArray, F
 
 
 def test_sliding_skin_opens_no_gap(truth: Moved, noisy: tuple[FloatArray, FloatArray]) -> None:
-    """By 8 mm about the middle of the body, which is a millimetre off the tangent plane."""
+    """The skin slides 8 mm around the body, which takes it a millimetre off the tangent plane."""
     points, normals = noisy
     feet = noisy_feet(points)
     angle = 8.0 / 35.0
@@ -178,7 +178,7 @@ def test_oversized_scans_and_labels_displace_drawn_interfaces() -> None:
 def test_points_under_a_plate_are_on_the_outline(
     truth: Moved, noisy: tuple[FloatArray, FloatArray]
 ) -> None:
-    """Every second point is: the model has it at its foot, the others as far off as drawn.
+    """Every second point is under a plate: it starts on the outline, the others where drawn.
 
     If all points were free, the drawn offset of the pressed ones would count as a gap.
     """

@@ -1,4 +1,4 @@
-"""Files opened by a diagnosis: those of its case, none of the truth in the folder next to it."""
+"""A diagnosis opens the files of its case, but none of the truth in the folder next to it."""
 
 import json
 import os

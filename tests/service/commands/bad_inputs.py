@@ -1,7 +1,7 @@
-"""Bad inputs of users: files, options, environments, terminals, permissions.
+"""Bad inputs from users: files, options, environments, terminals, permissions.
 
-Each is one command line in a folder of its own, what is put there before, and what the one
-message must say.
+Each is one command line in a folder of its own, the files placed there beforehand, and the expected
+message.
 """
 
 import os
@@ -105,7 +105,7 @@ def images(
 
 
 def all_of(*steps: Prepare) -> Prepare:
-    """Return a function that applies several in turn."""
+    """Return a function that applies several others in turn."""
 
     def prepare(place: Path) -> None:
         for step in steps:

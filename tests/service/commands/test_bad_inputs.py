@@ -52,7 +52,7 @@ def forked(palpate: dict[str, str]) -> Iterator[ForkedCommands]:
 
 @pytest.fixture(scope="module")
 def forked_as_plain_user(palpate: dict[str, str]) -> Iterator[ForkedCommands]:
-    """Run commands without permission to write everywhere."""
+    """Run commands without root's permission to write everywhere."""
     if os.geteuid() == 0 and shutil.which("setpriv") is None:
         pytest.skip("setpriv, which makes root a user like others, is not installed")
     with forked_commands(palpate, PLAIN_USER if os.geteuid() == 0 else ()) as commands:

@@ -42,7 +42,7 @@ def test_new_writes_readable_study_and_keeps_existing_file(call: Call) -> None:
         (["run", "nothing.yaml"], "palpate new breast nothing"),
         (["run", "study.yaml", "--workers", "0"], "--workers must be at least 1"),
         (["run", "study.yaml", "--workers", "2", "--scheduler", "tcp://x:1"], "give one of them"),
-        (["run", "study.yaml", "--workers", "4-1"], "the least comes first, so 1-4"),
+        (["run", "study.yaml", "--workers", "4-1"], "give the smaller number first: 1-4"),
         (["run", "study.yaml", "--workers", "1-4", "--scheduler", "tcp://x:1"], "give one of"),
         (["serve", "--workers", "0-4"], "one worker is always kept"),
         (
@@ -197,7 +197,7 @@ def test_constants_of_a_law_are_listed_on_request(call: Call) -> None:
     assert (code, "one law" in err) == (2, True)
 
 
-def test_fit_law_with_few_points(call: Call, tmp_path: Path) -> None:
+def test_too_few_points_do_not_rank_laws(call: Call, tmp_path: Path) -> None:
     """Three points determine the modulus of one law, but neither a ranking nor four constants."""
     stretch = np.array([1.1, 1.2, 1.3])
     rows = [f"{x},{3 * (x - x**-2)}" for x in stretch]

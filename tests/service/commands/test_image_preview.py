@@ -58,7 +58,7 @@ def test_slices_fit_the_terminal_and_keep_their_shape(width: int) -> None:
         assert 2 * filled / across == pytest.approx(36 / 18, rel=0.25)
 
 
-def test_colours_come_as_half_blocks() -> None:
+def test_colours_are_drawn_as_half_blocks() -> None:
     console = Console(width=80, force_terminal=True, color_system="truecolor", record=True)
     with console.capture() as captured:
         for line in terminal_lines(BODY, 80, colours=True):

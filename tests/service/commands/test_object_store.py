@@ -113,7 +113,7 @@ def test_unusable_store_gives_one_message(
     with server_of(deny) as address:
         monkeypatch.setenv("AWS_ENDPOINT_URL", address)
         code, _, err = call("store", "check", "--store", f"{bucket}/store")
-    assert (code, "refuses access (InvalidAccessKeyId)" in err) == (2, True)
+    assert (code, "denies access (InvalidAccessKeyId)" in err) == (2, True)
     assert "AWS_ACCESS_KEY_ID" in err
 
 
@@ -134,7 +134,7 @@ def test_credentials_come_from_environment_or_profile(
         (tmp_path / ".aws" / "credentials").write_text(f"{keys}endpoint_url={address}\n")
         monkeypatch.setenv("AWS_PROFILE", "lab")
         code, _, err = call("store", "check", "--store", "s3://bucket/store")
-        assert (code, f"{address} refuses access" in err, "AWS_PROFILE" in err) == (2, True, True)
+        assert (code, f"{address} denies access" in err, "AWS_PROFILE" in err) == (2, True, True)
         for name, value in (("ENDPOINT_URL", address), ("SECRET_ACCESS_KEY", "y")):
             monkeypatch.setenv(f"AWS_{name}", value)
         monkeypatch.setenv("AWS_ACCESS_KEY_ID", "of-the-environment")

@@ -19,7 +19,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return addresses
 
 
-def test_the_page_of_a_diagnosis(
+def test_opens_the_page_of_a_diagnosis(
     tmp_path: Path, opened: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = tmp_path / "diagnosis.html"
@@ -59,7 +59,9 @@ def test_without_a_browser_the_path_is_printed(
     assert "No browser" in said.err
 
 
-def test_a_folder_without_a_study(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_rejects_a_folder_without_a_study(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["open", str(tmp_path)]) == 2
     assert "has no journal of a study" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

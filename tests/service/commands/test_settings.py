@@ -38,7 +38,7 @@ def test_option_overrides_environment(monkeypatch: pytest.MonkeyPatch) -> None:
         cluster_options("tcp://other:1", "2-8")
     monkeypatch.setenv("PALPATE_WORKERS", "4-1")
     monkeypatch.delenv("PALPATE_SCHEDULER")
-    with pytest.raises(InputError, match="PALPATE_WORKERS=4-1: the least comes first, so 1-4"):
+    with pytest.raises(InputError, match="PALPATE_WORKERS=4-1: give the smaller number first: 1-4"):
         cluster_options(None, None)
 
 
@@ -56,7 +56,9 @@ def test_rejects_invalid_number_of_workers(text: str, said: str) -> None:
         read_workers(text)
 
 
-def test_the_store_of_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_option_and_environment_select_the_store(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     assert store_place(None) == Path("runs/store").absolute()
     monkeypatch.setenv("PALPATE_STORE", str(tmp_path / "mine"))
     assert store_place(None) == tmp_path / "mine"
@@ -75,7 +77,7 @@ def test_the_store_of_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path:
         ("tls://[::1]:1", ("::1", 1)),
     ],
 )
-def test_addresses_of_a_scheduler(address: str, expected: tuple[str, int]) -> None:
+def test_scheduler_addresses_are_parsed(address: str, expected: tuple[str, int]) -> None:
     assert host_and_port(address) == expected
 
 

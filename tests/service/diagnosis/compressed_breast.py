@@ -78,7 +78,7 @@ def write_case(
     nodes: int = 1500,
     pressed: Sequence[dict] = PRESSED,
 ) -> Path:
-    """Scans of a body that lacks nothing but `effects`, parameters of the catalogue."""
+    """Write scans of a body whose model lacks only `effects`, parameters of the catalogue."""
     folder.mkdir(parents=True)
     rest = generate_breast(PHANTOM, seed=5).labels
     for file in (SCANS[0], *(one["volume"] for one in pressed)):
@@ -105,7 +105,7 @@ def write_scan(path: Path, labels: Volume) -> None:
 
 
 def loads_exchanged(folder: Path) -> None:
-    """Write the forces of both scans the wrong way round."""
+    """Swap the forces of both scans."""
     said = read_settings(folder)
     first, second = said["scans"]["loads"]
     first["force_n"], second["force_n"] = 20.0, 8.0

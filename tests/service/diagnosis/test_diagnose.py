@@ -171,7 +171,7 @@ def test_bodies_overlap_better_with_the_effect(
 def by_two_workers(
     tilted: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, DiagnosisRequest, FinishedDiagnosis]:
-    """The folder of the case is removed before the first task of two workers."""
+    """Diagnose with two workers; the folder of the case is removed before their first task."""
     place = tmp_path_factory.mktemp("two")
     folder = place / "case"
     shutil.copytree(tilted, folder)
@@ -261,7 +261,7 @@ def test_scans_are_prepared_once_for_all_processes(tilted: Path, tmp_path: Path)
 
 
 def test_prepared_arrays_equal_those_of_one_process(tilted: Path, tmp_path: Path) -> None:
-    """Bit for bit."""
+    """They are equal bit for bit."""
     request = asked(tilted, tmp_path / "store")
     own = DiagnosisStore(request).uncalibrated
     names = DiagnosisStore(request).preparations
@@ -307,7 +307,7 @@ def test_hypotheses_are_weighed_once(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Even if the store lacks several joint fits."""
+    """This holds even if the store lacks several joint fits."""
     store = tmp_path / "store"
     shutil.copytree(diagnosed[0].store, store)
     request = asked(tilted, store)
@@ -328,7 +328,7 @@ def test_hypotheses_are_weighed_once(
 
 
 def made(request: DiagnosisRequest) -> dict[str, int]:
-    """The files of the store and their modification times."""
+    """Return the files of the store and their modification times."""
     fields = DiagnosisStore(request).parts.store.layout.fields
     return {path.name: (path / "zarr.json").stat().st_mtime_ns for path in fields.iterdir()}
 

@@ -24,7 +24,7 @@ NODES, SPACING_MM = 1600, 8.0
 
 @pytest.fixture(scope="module")
 def both_ways(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Scans pressed along y and along x, of a body that lacks nothing."""
+    """Provide scans pressed along y and along x, of a body whose model lacks nothing."""
     folder = tmp_path_factory.mktemp("views") / "both"
     return write_case(folder, pressed=[PRESSED[1], CROSSWISE])
 

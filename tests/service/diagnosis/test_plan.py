@@ -24,7 +24,7 @@ Json = dict[str, Any]
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder of the case and of the plan."""
+    """Provide the folder of the case and of the plan."""
     folder = tmp_path_factory.mktemp("plan")
     write_meant(folder / "meant", [at_force(12)])
     return folder
@@ -49,7 +49,7 @@ def _again(runs: Path) -> PlanSummary:
 
 @pytest.fixture(scope="module")
 def record(planned: PlanSummary) -> Json:
-    """The plan as JSON."""
+    """Provide the plan as JSON."""
     return dict(to_json(planned))
 
 
@@ -127,7 +127,7 @@ def test_reports_when_nothing_can_be_planned(
     assert "expected a folder with case.yaml" in capsys.readouterr().err
 
 
-def test_words_for_invisible_and_similar_effects() -> None:
+def test_undetectable_and_similar_effects_are_named() -> None:
     def effect(name: str, why_not: Any) -> PlannedEffect:
         return PlannedEffect(name, "", "", (), 0.5, None, 0.0, 1.0, not why_not, why_not)
 

@@ -1,4 +1,4 @@
-"""A case through the commands: written, read as YAML or JSON, echoed; prose is refused."""
+"""A case through the commands: written, read as YAML or JSON, echoed; prose is rejected."""
 
 import json
 from collections.abc import Callable

@@ -182,7 +182,7 @@ def test_rejects_a_diverged_body(store: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["export", "s.yaml", "b.obj"], "b.obj: .obj is not known, use one of .feb"),
+        (["export", "s.yaml", "b.obj"], "b.obj: .obj is not supported; use one of .feb"),
         (["export", "s.yaml", "no/b.vtu"], "does not exist; create it"),
         (["export", "s.yaml", "b.inp", "--candidate", "best"], "needs the folder of a study"),
         (

@@ -12,7 +12,7 @@ from palpate.storage.errors import InputError
 PHANTOM = {"spacing_mm": 2.0}
 
 
-def test_docstring_examples() -> None:
+def test_docstring_examples_run() -> None:
     for module in (case_keys, gradient):
         assert doctest.testmod(module).attempted
         assert doctest.testmod(module).failed == 0

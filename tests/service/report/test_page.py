@@ -52,7 +52,7 @@ def test_the_verdict_is_a_sentence_with_signed_errors(page: Page) -> None:
     assert "The search has ended: all 2 generations are done." in page.text
 
 
-def test_parameters_with_bounds_target_and_unit(page: Page) -> None:
+def test_parameters_are_shown_with_bounds_target_and_unit(page: Page) -> None:
     assert page.row("Efat") == ["Efat", "10.1", "–", "10", "+1.2 %", "5 … 20", "kPa"]
     assert page.row("ηfat") == ["ηfat", "93", "–", "–", "–", "50 … 200", "kPa"]
 
@@ -70,7 +70,7 @@ def test_similarity_includes_undeformed_body(page: Page) -> None:
     assert glandular[5].endswith("→ −3.83")
 
 
-def test_failures_with_their_constants_and_reason_escaped(source: str, page: Page) -> None:
+def test_failures_are_shown_with_constants_and_escaped_reason(source: str, page: Page) -> None:
     assert "2 of 5 evaluations have no score" in page.text
     diverged = page.row("2")
     assert diverged[1:4] == ["1", "diverged", "Efat 5.5 kPa, ηfat 55.25 kPa"]
@@ -86,7 +86,7 @@ def test_many_failures_are_folded() -> None:
     assert "25 of 25 evaluations have no score" in page.text
 
 
-def test_time_counts_and_throughput(page: Page) -> None:
+def test_shows_time_counts_and_throughput(page: Page) -> None:
     assert page.row("solve") == ["solve", "90 s", "22.5 s", "90.0 %"]
     assert page.row("score") == ["score", "10 s", "2.5 s", "10.0 %"]
     for said in (
@@ -117,7 +117,7 @@ def test_shows_solver_output_of_best_simulation(page: Page) -> None:
         assert said.replace(" ", "") in page.text.replace("\u202f", "").replace(" ", ""), said
 
 
-def test_page_without_results() -> None:
+def test_page_without_results_says_so() -> None:
     text = Page(render(nothing_yet())).text
     assert "No estimates yet" in text
     assert "The search is still running" in text
@@ -136,7 +136,7 @@ def test_infinities_are_drawn_and_printed() -> None:
     ("state", "said"),
     [("running", "still running"), ("interrupted", "Running it again continues it")],
 )
-def test_page_of_unfinished_search(state: str, said: str) -> None:
+def test_page_shows_that_the_search_is_unfinished(state: str, said: str) -> None:
     unfinished = study_data(results=results(state=state, stop_reason=None), bodies=Bodies())
     assert said in Page(render(unfinished)).text
 

@@ -105,7 +105,9 @@ def test_common_scale_identifies_only_ratios() -> None:
     assert (ratio.numerator, ratio.denominator) == ("eta_fat", "E_fat")
     assert ratio.interval is not None
     assert ratio.interval.upper == pytest.approx(10 * math.exp(DEVIATIONS / 20))
-    assert found.directions[-1].words == "E_fat and eta_fat rise together 1 : 1, not seen at all"
+    assert (
+        found.directions[-1].words == "E_fat and eta_fat rise together 1 : 1, not determined at all"
+    )
 
 
 def test_unidentified_constant_is_unknown() -> None:

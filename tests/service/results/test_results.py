@@ -99,7 +99,7 @@ def test_reads_a_study_that_has_just_started(tmp_path: Path) -> None:
     assert study_json(study_results(folder))["state"] == "interrupted"
 
 
-def test_perfect_score_is_text(tmp_path: Path) -> None:
+def test_perfect_score_is_a_string(tmp_path: Path) -> None:
     """GSF is -inf for identical volumes, which JSON cannot represent as a number."""
     folder = tmp_path / "demo"
     run(folder, Inline(), small_spec(SPEC.replace("generations: 5", "generations: 1")))

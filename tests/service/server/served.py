@@ -1,7 +1,7 @@
 """A service as a separate process: FOLDER, then --scheduler ADDRESS or --workers N.
 
-A store that is not in FOLDER: --store=PLACE. Its tasks are the stand-ins of tests/recovery; those
-that store bodies, too, with --bodies; the real ones with --real. It writes its address to
+Use --store=PLACE for a store outside FOLDER. Its tasks are the stand-ins of tests/recovery;
+--bodies selects stand-ins that also store bodies, --real the real tasks. It writes its address to
 FOLDER/url.
 """
 

@@ -142,7 +142,7 @@ def test_impossible_diagnosis_fails_with_message(client: Client, tmp_path: Path)
         client.submit_diagnosis(upload="nix")
 
 
-def test_public_client_api(service: ServiceProcess, tmp_path: Path) -> None:
+def test_python_client_submits_waits_and_downloads(service: ServiceProcess, tmp_path: Path) -> None:
     with palpate.connect(service.url, TOKEN) as connected:
         file = tmp_path / "face.yaml"
         file.write_text(named("face"))
@@ -164,7 +164,7 @@ def test_public_client_api(service: ServiceProcess, tmp_path: Path) -> None:
             connected.job("nix")
 
 
-def test_the_example_of_the_documentation(
+def test_the_documented_example_runs(
     service: ServiceProcess,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -182,7 +182,7 @@ def test_the_example_of_the_documentation(
     assert (tmp_path / "study.yaml").is_file()
 
 
-def test_images_are_uploaded_and_refused_when_there_are_none(
+def test_images_of_a_study_are_uploaded_and_needed_until_it_ends(
     client: Client, tmp_path: Path, service: ServiceProcess
 ) -> None:
     import numpy as np
@@ -220,7 +220,7 @@ def _while_waiting(client: Client, identifier: str, folder: str) -> None:
         client.change(identifier, "resume")
 
 
-def test_openapi_description(service: ServiceProcess) -> None:
+def test_every_operation_has_a_description(service: ServiceProcess) -> None:
     described: dict[str, Any] = httpx.get(service.url + "/api/v1/openapi.json").json()
     operations = [
         operation

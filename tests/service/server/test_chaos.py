@@ -147,7 +147,7 @@ def own_processes(folder: Path, address: str) -> list[list[str]]:
     """Return the commands of all processes that name this test's folder or scheduler.
 
     Children of this process are not enough: those of a service that was killed are no longer
-    its own, and a service of other tests or a resource tracker is none of this test's.
+    its own, and a service of other tests or a resource tracker does not belong to this test.
     """
     found = []
     for process in psutil.process_iter():

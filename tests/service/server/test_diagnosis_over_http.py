@@ -1,7 +1,7 @@
 """A computed diagnosis over HTTP, compared with `palpate diagnose`.
 
-The scans are a phantom's between plates of which one is tilted; the service runs the real tasks
-on one worker, and suspects two effects. Some 40 s once the kernels are compiled:
+The scans show a phantom between plates, one of which is tilted; the service runs the real tasks
+on one worker, and suspects two effects. This takes about 40 s once the kernels are compiled:
 
     pytest -m slow tests/service/server/test_diagnosis_over_http.py
 """

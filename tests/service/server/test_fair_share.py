@@ -29,7 +29,7 @@ def test_equal_jobs_share_equally() -> None:
     assert max(ended.values()) - min(ended.values()) < 0.1 * 1000
 
 
-def test_an_owner_of_many_jobs_gets_no_more_than_one_of_few() -> None:
+def test_an_owner_of_many_jobs_gets_no_more_than_an_owner_of_few() -> None:
     share = FairShare()
     many = [share.join("ann", 0, n) for n in range(4)]
     one = share.join("bob", 0, 4)

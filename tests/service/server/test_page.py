@@ -225,7 +225,7 @@ def test_slices_slide_and_the_body_turns(shown: Shown, served: ServiceProcess) -
 def test_does_not_wait_for_newer_bodies(
     shown: Shown, served: ServiceProcess, tmp_path: Path
 ) -> None:
-    """The drawn body may be of a newer best candidate than the page has."""
+    """The drawn body may belong to a newer best candidate than the one on the page."""
     text = named("ahead").replace("seed: 7", "seed: 10")
     run(tmp_path / "calm" / "ahead", Inline(), small_spec(text))
     scores = {c: e[4]["gsf"] for c, e in told(tmp_path / "calm" / "ahead").items() if e[4]}

@@ -61,7 +61,7 @@ def test_repeated_key_returns_same_job(path: Path) -> None:
         (["pause", "cancel", "cancel"], "cancelled"),
     ],
 )
-def test_states(path: Path, actions: list[Action], state: str) -> None:
+def test_actions_lead_to_the_expected_state(path: Path, actions: list[Action], state: str) -> None:
     queue = Queue(path)
     queue.submit("study", "demo", "ann", {})
     for action in actions:

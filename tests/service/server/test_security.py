@@ -133,7 +133,7 @@ def test_rejects_uploads_with_outside_paths(
 
 @pytest.fixture
 def empty_service(tmp_path: Path) -> Iterator[ServiceProcess]:
-    """A service without uploads of other tests, which count towards its limits."""
+    """A service without uploads from other tests, which count towards its limits."""
     with running_service(tmp_path / "runs", ["--workers", "1"]) as served:
         yield served
 
@@ -312,7 +312,7 @@ def test_a_link_in_the_folder_of_a_job_is_not_followed(
     assert SECRET not in answer.text
 
 
-def test_untrusted_yaml() -> None:
+def test_untrusted_yaml_has_no_aliases_and_no_outside_paths() -> None:
     assert parsed_text("a: [1, {b: x}]", "it") == {"a": [1, {"b": "x"}]}
     with pytest.raises(InputError, match="anchors or aliases"):
         parsed_text("a: &x 1\nb: *x\n", "it")

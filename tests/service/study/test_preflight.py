@@ -37,7 +37,7 @@ Change = Callable[[Path], object]
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A breast at rest, and squeezed along y to three quarters at the same volume."""
+    """Provide a breast at rest, and squeezed along y to three quarters at constant volume."""
     settings = BreastPhantom(spacing_mm=2.0, skin_mm=0.0, ligament_mm=0.0, compartments=60)
     rest = generate_breast(settings, 1).labels
     rest = Volume(np.minimum(rest.values, 2), rest.spacing_mm, rest.origin_mm)

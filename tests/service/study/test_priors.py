@@ -1,4 +1,4 @@
-"""Priors of searched constants: refusals, exact residuals, and a study that weighs one."""
+"""Priors of searched constants: invalid ones, exact residuals, and a study that uses one."""
 
 from pathlib import Path
 from typing import Any
@@ -93,7 +93,7 @@ def test_estimate_is_weighed_between_image_and_prior(tmp_path: Path) -> None:
 
 
 def test_value_determined_by_its_prior_is_not_quotable(tmp_path: Path) -> None:
-    """A real study of a simulated target: the images know E_fat to about 0.5 %."""
+    """A real study of a simulated target: the images determine E_fat to about 0.5 %."""
     prior = {"E_fat_kpa": {"mean": 11.0, "sd": 0.01}}
     keys = STUDY | {"search": SEARCH | {"prior": prior}}
     palpate.Study.from_dict(keys, tmp_path / "study").run(in_process=True)

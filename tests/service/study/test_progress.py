@@ -55,7 +55,7 @@ def test_resumed_study_replays_the_same_events(tmp_path: Path) -> None:
     assert second.per_minute == 0
 
 
-def test_durations_as_text() -> None:
+def test_durations_are_formatted_as_text() -> None:
     assert [clock(s) for s in (0, 61, 3600, 90_000, float("inf"))] == [
         "0 s",
         "1 min 1 s",

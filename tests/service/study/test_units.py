@@ -1,4 +1,4 @@
-"""Units of printed numbers; only stated parameters are printed."""
+"""Units of printed numbers; only given parameters are printed."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The book of handmade results: well-formed, self-contained, thesis and Palpate compared."""
+"""The thesis page of handmade results: well formed, self-contained, with a comparison."""
 
 import json
 import math

@@ -78,7 +78,7 @@ def test_verdict_names_cause_magnitude_and_held_out_gap() -> None:
     assert sentence_of(VERDICTS["one scan"]).endswith("It leaves 0.10 mm (0.00 to 0.20).")
 
 
-def test_says_that_something_is_left_and_that_only_the_first_cause_is_certain() -> None:
+def test_reports_a_remaining_gap_and_that_only_the_first_cause_is_certain() -> None:
     record = summary(primary=["plate_tilt", "plate_force"])
     record["gap_mm"] = VERDICTS["one scan"]["gap_mm"] | {"after": gap(0.3, 0.2, 0.4)}
     text = sentence_of(record)
@@ -91,7 +91,7 @@ def test_says_that_something_is_left_and_that_only_the_first_cause_is_certain() 
     assert sentence_of(record).endswith("It leaves 0.30 mm (0.04 to 0.50).")
 
 
-def test_systematic_residual_below_noise() -> None:
+def test_reports_a_systematic_residual_below_noise() -> None:
     gap = summary()["gap_mm"]
     gap["before"] = gap["held_out_before"] = gap["before"] | {"gap_mm": 0.0, "low_mm": 0.0}
     said = sentence_of(summary(gap_mm=gap))
@@ -121,7 +121,7 @@ def test_reports_wrong_or_uneven_noise() -> None:
 
     assert said(0.3, 0.35, 0.30, 0.40) == ""
     assert said(0.2, 0.3, 0.28, 0.32) == (
-        " The noise of the outline interface is stated too small: 0.20 mm, but its residuals "
+        " The noise of the outline interface is set too small: 0.20 mm, but its residuals "
         "show 0.30 mm."
     )
     assert said(0.3, 0.3, 0.22, 0.41) == (
@@ -135,8 +135,8 @@ def test_wrong_noise_is_warning_outside_headline() -> None:
     even = {"least_mm": 0.3, "most_mm": 0.3}
     shown = render(found(summary(noise=[noise | even])))
     (warned,) = re.findall(r'<p class="note warn">([^<]*)</p>', shown)
-    assert warned.startswith("The noise of the outline interface is stated too small")
-    assert shown.count("stated too small") == 1
+    assert warned.startswith("The noise of the outline interface is set too small")
+    assert shown.count("set too small") == 1
 
 
 def test_reports_gap_of_micrometres() -> None:
@@ -171,7 +171,7 @@ def test_two_effects_at_once_are_both_named() -> None:
         ),
     ],
 )
-def test_other_verdicts(which: str, said: str) -> None:
+def test_each_verdict_has_its_sentence(which: str, said: str) -> None:
     assert said in sentence_of(VERDICTS[which])
 
 
@@ -194,7 +194,7 @@ def test_absorbed_effects_are_last_and_grey(source: str, page: Page) -> None:
     assert "What plate_tilt &lt;is&gt;." in source
 
 
-def test_constants_before_and_after(page: Page) -> None:
+def test_constants_are_shown_without_and_with_the_effect(page: Page) -> None:
     assert page.row("Efat") == ["Efat", "10", "11", "10.7 … 11.3", "+10.0 %", "kPa", "yes"]
     alone = Page(render(found(VERDICTS["no gap"])))
     assert alone.row("Efat") == ["Efat", "10", "–", "9.8 … 10.2", "–", "kPa", "yes"]
@@ -272,7 +272,9 @@ def test_headline_lengths_agree_with_tiles() -> None:
         ),
     ],
 )
-def test_consequences(which: str, quote: str, following: str) -> None:
+def test_each_verdict_says_what_to_quote_and_what_to_do_next(
+    which: str, quote: str, following: str
+) -> None:
     text = Page(render(found(VERDICTS[which]))).text
     assert f"What to quote {quote}" in text
     assert f"Next {following}" in text or following in text[text.index("Next ") :][:120]
@@ -300,7 +302,7 @@ def test_page_shows_provenance() -> None:
         assert said in text, said
 
 
-def test_warnings() -> None:
+def test_doubtful_results_give_warnings() -> None:
     refits = [summary()["refits"][0] | {"converged": False}]
     assert "The refit of plate flex did not converge" in render(found(summary(refits=refits)))
     gap = summary()["gap_mm"]

@@ -18,7 +18,7 @@ def at(field: Volume, place_mm: tuple[float, float, float]) -> float:
     return float(field.values[z, y, x])
 
 
-def test_fields_of_displacement_and_gap() -> None:
+def test_fields_match_the_known_displacement_and_gap() -> None:
     maps = found().maps
     ends = NOMINAL_MM[0]
     maps["moved_before"] = maps["points"] * (ends / HALF_AXES_MM)[None, None]

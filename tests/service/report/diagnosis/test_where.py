@@ -176,7 +176,7 @@ def test_sections_are_compared_voxel_by_voxel() -> None:
     assert same == [0, IN_BOTH, GLAND_IN_BOTH, IN_BOTH, 0]
 
 
-def test_overlay_colours() -> None:
+def test_excess_is_vermilion_and_missing_tissue_is_blue() -> None:
     assert OVERLAY[0, 3] == 0
     assert OVERLAY[TOO_MUCH].tolist() == [*bytes.fromhex(VERMILION[1:]), 255]
     assert OVERLAY[TOO_LITTLE].tolist() == [*bytes.fromhex(BLUE[1:]), 255]
@@ -228,7 +228,7 @@ def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: FinishedDiagnosis) 
     assert green > red
 
 
-def test_cause_map_colours() -> None:
+def test_cause_map_uses_the_whole_colour_scale() -> None:
     """From the softest to the stiffest: both ends of the scale have their colours."""
     scores = np.array([np.nan, -4.0, -1.9, 0.0, 1.9, 4.0], np.float32).reshape(1, 1, 6)
     colours = ColourScale(CAUSES, 4.0)
@@ -244,15 +244,17 @@ def test_cause_map_caption_compares_with_noise(whole: FinishedDiagnosis) -> None
     told = whole.summary.cause_map
     assert told is not None
     assert where.cause_words(told).startswith(
-        "stiffer tissue at x = 8, y = −4, z = 2 mm (the cross) would explain most. Its score of "
-        "6.2 is more than noise alone reaches anywhere"
+        "stiffer tissue at x = 8, y = −4, z = 2 mm (the cross) would explain the gap best. Its "
+        "score of 6.2 is more than noise alone reaches anywhere"
     )
     quiet = replace(told, before=replace(told.before, score=-2.1))
     assert "softer tissue" in where.cause_words(quiet)
     assert "Its score of −2.1 is no more than noise alone" in where.cause_words(quiet)
 
 
-def test_overlap_before_and_after_and_attainable(whole: FinishedDiagnosis, page: Page) -> None:
+def test_overlap_is_shown_before_and_after_with_its_attainable_value(
+    whole: FinishedDiagnosis, page: Page
+) -> None:
     told_rows = whole.summary.overlap
     assert told_rows is not None
     rows = tables.overlap(told_rows)

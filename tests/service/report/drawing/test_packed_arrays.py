@@ -59,7 +59,7 @@ def test_large_volume_is_subsampled_in_place() -> None:
     assert thinned(volume, 24000) is volume
 
 
-def test_the_box_of_a_body_is_that_of_its_voxels_faces() -> None:
+def test_the_box_of_a_body_ends_at_its_voxel_faces() -> None:
     values = np.zeros((4, 5, 6), np.uint8)
     values[1:3, 2, 3:5] = 1
     low, high = body_box_mm(Volume(values, (1.0, 2.0, 4.0), (0.0, 0.0, 0.0)))

@@ -52,20 +52,20 @@ def test_intervals_are_drawn() -> None:
     assert 'class="interval"' not in page(None).source
 
 
-def test_all_well_determined() -> None:
+def test_quotes_all_well_determined_constants() -> None:
     said = "What to quote Quote Efat = 10.1 (9.8 to 10.4) kPa and ηfat = 93 (90 to 96) kPa."
     assert said in page(known(eta_fat="value")).text
 
 
-def test_only_ratios() -> None:
+def test_quotes_only_ratios_without_a_force() -> None:
     ratio = IdentifiedRatio("eta_fat", "E_fat", 9.19, Interval(9.0, 9.4, 0.9, "tangents"), "value")
     text = page(known("ratio", "ratio", ratios=(ratio,))).text
     assert "Quote ratios only: ηfat / Efat = 9.19." in text
-    assert "State the plate force" in text
+    assert "Give the plate force" in text
     assert "only its ratio" in text
 
 
-def test_study_without_derivatives() -> None:
+def test_study_without_derivatives_has_no_intervals() -> None:
     text = page(known("unknown", "unknown", note="the simulation had no tangents")).text
     assert "Do not quote Efat and ηfat (no interval is known)." in text
     assert "There are no intervals: the simulation had no tangents." in text

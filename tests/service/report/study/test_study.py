@@ -111,7 +111,9 @@ def test_a_store_that_moved_with_its_study_is_found(made: Made, tmp_path: Path) 
     assert "Best candidate" in page.text
 
 
-def test_report_without_store(made: Made, tmp_path: Path) -> None:
+def test_report_without_store_has_results_but_no_pictures_of_bodies(
+    made: Made, tmp_path: Path
+) -> None:
     folder = copied(made, tmp_path)
     shutil.rmtree(folder.parent / "store")
     page = Page(write_report(folder).read_text())
@@ -139,7 +141,7 @@ def test_reports_missing_target(made: Made, tmp_path: Path) -> None:
         (-1, "Running it again continues it"),
     ],
 )
-def test_a_study_cut_off_anywhere_has_a_report(
+def test_a_journal_cut_off_anywhere_gives_a_report(
     made: Made, tmp_path: Path, lines: int, said: str
 ) -> None:
     folder = copied(made, tmp_path)

@@ -157,11 +157,11 @@ def open_cluster(
         workers = read_workers(workers, "workers=")
     if isinstance(workers, int) and workers < 1:
         raise InputError(
-            f"workers={workers}: at least one worker is needed. Leave it out for one per core."
+            f"workers={workers}: at least one worker is needed. Omit it for one worker per core."
         )
     if scheduler is not None and workers is not None:
         raise InputError(
-            "--workers starts processes of this machine, --scheduler uses those of a running "
+            "--workers starts processes on this machine; --scheduler uses those of a running "
             "cluster: give one of them."
         )
     opened = (

@@ -39,7 +39,7 @@ class EstimateFacts:
     searched : (float, float) or None
         Bounds of the search.
     stated : (float, float) or None
-        Interval stated for the constant in the user's file, if it does not bound the search.
+        Interval given for the constant in the user's file, if it does not bound the search.
     interval : (float, float) or None
         90 % interval.
     identifiable : {"value", "ratio", "weak", "unknown"}
@@ -139,7 +139,7 @@ def _unconverged(facts: EstimateFacts) -> list[str]:
 
 
 def _bounds(facts: EstimateFacts, value: float) -> list[str]:
-    """Return objections to the value's position in the searched and the stated interval."""
+    """Return objections to the value's position in the searched and the given interval."""
     reasons = []
     if facts.searched is not None and at_edge(value, facts.searched):
         low, high = facts.searched

@@ -1,4 +1,4 @@
-"""Ratios of stiffnesses, which plates at a given distance identify without a held stiffness."""
+"""Ratios of stiffnesses, which plates at a given distance determine without a force."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

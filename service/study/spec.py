@@ -170,7 +170,7 @@ class StudySpec(Door):
     def levels(self) -> tuple[LevelSpec, ...]:
         """Return the coarser resolutions in which constants are fitted first, coarse to fine.
 
-        Without ``search.levels`` a fit from scratch takes the `COARSE_LEVELS` that have at
+        Without ``search.levels`` a fit from scratch uses the `COARSE_LEVELS` that have at
         most half the nodes of the case.
         """
         if self.search.levels is not None:

@@ -30,7 +30,7 @@ class Recorded:
     machine : str
         The machine on which they ran.
     seconds : mapping of str to float
-        Processor seconds of one part or search, by kind; for searches those of the workers.
+        Processor seconds of one part or search, by kind; for searches, of the workers.
     """
 
     machine: str

@@ -63,7 +63,7 @@ Constants = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Estimated:
-    """A row of Tables 4.4 to 4.6; the distance in voxels of 0.2 mm."""
+    """A row of Tables 4.4 to 4.6; distances are in voxels of 0.2 mm."""
 
     phantom: int
     constants_kpa: Constants

@@ -1,6 +1,6 @@
 """Storage backend for a bucket; see `storage.backends.contract.Backend`.
 
-Single objects are written atomically, groups of them are not. The arrays of a group are in a
+Single objects are written atomically, but groups of them are not. The arrays of a group are in a
 subgroup that only its writer knows; the description of the group is put last, only if there is none
 yet, and names that subgroup::
 

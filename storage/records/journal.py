@@ -146,7 +146,8 @@ class Journal:
     def is_being_written(path: Path | str) -> bool:
         """Return True if a process holds the lock of a journal.
 
-        False if there is no journal, or if the file system has no locks (none is written there).
+        False if there is no journal, or if the file system has no locks (no journal is written
+        there).
         """
         try:
             handle = os.open(path, os.O_RDONLY)

@@ -122,7 +122,7 @@ def test_best_of_the_genetic_stage_is_kept_after_polishing() -> None:
     assert (best.candidate, searched.candidate) == (2, 0)
 
 
-def test_failures_are_never_best() -> None:
+def test_failed_candidates_are_never_best() -> None:
     crashed = EvaluationRecord(0, 0, {}, "d", Status.DIVERGED, reason="no equilibrium")
     assert best_of(by_candidate(crashed)) is None
     assert rank_of(crashed) is None

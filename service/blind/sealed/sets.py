@@ -195,7 +195,7 @@ def check_truths(truths: Truths, manifest: Manifest) -> None:
 
 
 def check_answers(blind: BlindSet, directions: Directions) -> SealedAnswers:
-    """Read the sealed answers, and compare them with the manifest and the answers.
+    """Read the sealed answers, and compare them with the manifest and the answer files.
 
     Raises
     ------

@@ -39,7 +39,7 @@ def mammogram(
 ) -> None:
     """Simulate CC and MLO mammograms of a study's fitted body.
 
-    The images are written as DICOM and PNG. The body is compressed with the fitted constants, with
+    The images are written as DICOM and PNG. The body has the fitted constants and is compressed by
     the study's own force or plates, rotated by 45 degrees for MLO. If the target's constants are
     known, the target is imaged too, together with the signed difference.
     """

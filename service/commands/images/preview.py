@@ -101,8 +101,8 @@ def _understood(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
 def doubt(volume: Volume, letters: tuple[str, str, str] | None = None) -> str:
     """Return a warning about implausible axes; empty if there is none.
 
-    From the chest wall to the nipple is anterior, and a breast is widest at the chest wall, the
-    low end of z.
+    The direction from the chest wall to the nipple is anterior, and a breast is widest at the chest
+    wall, the low end of z.
 
     Parameters
     ----------
@@ -112,9 +112,9 @@ def doubt(volume: Volume, letters: tuple[str, str, str] | None = None) -> str:
     """
     if letters is not None and letters[2] != "A":
         return (
-            f"z increases towards {letters[2]}, but from the chest wall to the nipple is anterior. "
-            "Give --axes with A as the third letter, such as 'L S A' for a cranio-caudal "
-            "compression."
+            f"z increases towards {letters[2]}, but the direction from chest wall to nipple is "
+            f"anterior. Give --axes with A as the third letter, such as 'L S A' for a "
+            f"cranio-caudal compression."
         )
     area = (np.asarray(volume.values) != Tissue.AIR).sum(axis=(1, 2))
     filled = np.flatnonzero(area)

@@ -110,7 +110,7 @@ def _print(fits: list[LawFit], best: list[LawFit], sources: list[str], nu: float
         names = ", ".join(one.plugin.name for one in best)
         told = "fits best" if len(best) == 1 else "fit about equally well (AICc within 2)"
         typer.echo(f"{names} {told}.")
-        typer.echo("AICc assumes independent deviations; those of neighbouring points on a curve")
+        typer.echo("AICc assumes independent deviations, but neighbouring points on a curve")
         typer.echo("are correlated, so small differences mean little.")
         typer.echo()
     chosen = best[0]

@@ -86,4 +86,4 @@ def _names(constants: object) -> Markup:
 def _hidden(summary: Summary) -> str:
     if not summary.absorbed:
         return ""
-    return f" They may hide {together(summary.absorbed)}."
+    return f" The constants may have absorbed {together(summary.absorbed)}."

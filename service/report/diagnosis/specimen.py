@@ -70,7 +70,7 @@ def specimen_pictures(maps: Arrays, summary: Summary, named: str) -> Iterator[Pi
         drawn = "to scale" if times == 1 else f"drawn {times:g} times as large"
         caption = (
             f"{one.state}: measured and predicted points. "
-            f"Movements are {drawn}; the largest measures {length(farthest)} mm."
+            f"Movements are {drawn}; the largest is {length(farthest)} mm."
         )
         yield chart(partial(_state, one, times, named), caption, caption, list(_rows(one)))
 

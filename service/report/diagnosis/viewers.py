@@ -25,7 +25,7 @@ from palpate.workers.mechanics.pressed import Pressed
 
 WHEN = ("before", "after")
 OVERLAY = (
-    ("outside of both", "#ffffff00"),
+    ("outside both", "#ffffff00"),
     ("other tissue in both", "#8a94a12e"),
     ("glandular tissue in both", "#8a94a199"),
     ("in the scan, not predicted", "#107ac0ff"),

@@ -308,7 +308,7 @@ def _time(data: StudyData) -> dict[str, Any]:
     if computed and wall_s:
         work.append(("Throughput", f"{number(60 * computed / wall_s, 3)} evaluations per min"))
     if data.session is not None:
-        work.append(("Evaluations at once", count(data.session.workers)))
+        work.append(("Parallel evaluations", count(data.session.workers)))
     return {
         "about_time": f"{duration(wall_s)} of wall time, preparation included; the evaluations "
         f"took {duration(sum(spent.values()))}, summed over all workers."

@@ -260,7 +260,7 @@ def stage_picture(seconds: Mapping[str, float]) -> Picture | None:
 
 
 _MEANING = (
-    "outside of both bodies",
+    "outside both bodies",
     "rest of the body",
     "in both",
     "only in the target",

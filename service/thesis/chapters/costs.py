@@ -1,4 +1,4 @@
-"""The cost of an experiment, next to the one printed in the thesis."""
+"""The cost of an experiment, next to the cost printed in the thesis."""
 
 from palpate.service.formatting import count, duration
 from palpate.service.thesis.results import Cost

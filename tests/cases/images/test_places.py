@@ -212,7 +212,7 @@ class TestSlices:
             lambda z: f"{z}_z{0.273 * z:.2f}.tif",
         ],
     )
-    def test_numbers_in_names_give_the_order(
+    def test_numbers_in_file_names_give_the_slice_order(
         self, tmp_path: Path, name: Callable[[int], str]
     ) -> None:
         for z, page in enumerate(breast()):

@@ -97,7 +97,7 @@ def test_shows_time_counts_and_throughput(page: Page) -> None:
         "Evaluations lost0",
         "Reused from the store1",
         "Throughput1.95 evaluations per min",  # 4 of 5 computed in 123 s
-        "Evaluations at once3",
+        "Parallel evaluations3",
     ):
         assert said in page.text, said
 
@@ -117,7 +117,7 @@ def test_shows_solver_output_of_best_simulation(page: Page) -> None:
         assert said.replace(" ", "") in page.text.replace("\u202f", "").replace(" ", ""), said
 
 
-def test_page_without_results_says_so() -> None:
+def test_page_of_a_new_study_reports_that_nothing_was_evaluated() -> None:
     text = Page(render(nothing_yet())).text
     assert "No estimates yet" in text
     assert "The search is still running" in text

@@ -106,7 +106,7 @@ def test_a_helper_imports_nothing_from_the_folder_it_runs_in(tmp_path: Path) -> 
     assert ended.stdout.startswith("palpate ")
 
 
-def test_reports_failed_page(tmp_path: Path) -> None:
+def test_reports_a_page_that_could_not_be_written(tmp_path: Path) -> None:
     with pytest.raises(ReportError, match="Error"):
         write_report(tmp_path, False)
 

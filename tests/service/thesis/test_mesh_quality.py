@@ -87,7 +87,7 @@ def test_table_has_mean_averages_and_the_worst_aspect(
     assert (second.kind, second.worst) == ("homogeneous", homogeneous.worst_aspect)
 
 
-def test_constants_match_table_41() -> None:
+def test_constants_match_table_4_1() -> None:
     neo, mooney = constants_of("neo-Hookean"), constants_of("Mooney-Rivlin")
     for tissue, mu in ((Tissue.FAT, 12750e-6), (Tissue.GLANDULAR, 36750e-6)):
         assert neo[tissue].mu_mpa == pytest.approx(mu)

@@ -257,7 +257,7 @@ def test_headline_lengths_agree_with_tiles() -> None:
         ),
         (
             "no gap",
-            "Quote Efat = 10 (9.8 to 10.2) kPa. They may hide plate force.",
+            "Quote Efat = 10 (9.8 to 10.2) kPa. The constants may have absorbed plate force.",
             "Nothing needs to be added",
         ),
         (

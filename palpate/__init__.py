@@ -2,7 +2,7 @@
 
 A study searches for the elastic constants with which the simulated deformation of a body agrees
 with the imaged one. A diagnosis finds what the model lacks. Both run on a Dask cluster, by default
-on processes of this machine, and continue where they were interrupted.
+in local processes, and continue where they were interrupted.
 
 Run a study and read its results::
 

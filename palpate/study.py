@@ -184,7 +184,7 @@ class Study:
         """Evaluate your own candidates against the target of the study.
 
         Stored evaluations, including the study's own, are reused, so repeating an interrupted call
-        continues it. The row of a candidate that does not converge has a reason.
+        continues it. The row of a candidate that does not converge gives the reason.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
 """The run of a study, shared by the command, Python and the service.
 
-A new study is checked first, palpate.log is written, and the page is written in the end even after
+A new study is checked first, palpate.log is written, and the page is written at the end, even after
 a failure.
 """
 

@@ -175,7 +175,7 @@ def _difference(
     here: Equilibrium,
     step: float,
 ) -> FloatArray:
-    """Differentiate the solution by one parameter, with Richardson extrapolation."""
+    """Differentiate the solution with respect to one parameter, by Richardson extrapolation."""
     h = step * effect.prior_sd[effect.names.index(name)]
 
     def slope(h: float) -> FloatArray:

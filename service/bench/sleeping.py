@@ -1,6 +1,7 @@
 """Study tasks that sleep instead of computing, for measuring everything around them.
 
-The store has the durations in `DURATIONS`; the deviation of a candidate follows from its digest.
+The store contains the durations in `DURATIONS`; the deviation of a candidate follows from its
+digest.
 """
 
 import json

@@ -175,7 +175,7 @@ class Bench:
     Parameters
     ----------
     spacing_mm, nodes
-        The size.
+        Voxel size in mm, and number of nodes.
     store : Path
         Folder with the inputs of a stage, which are created if missing.
     """

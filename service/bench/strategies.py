@@ -1,4 +1,4 @@
-"""Benchmarks of strategies on the same targets: evaluations and core-seconds to given errors.
+"""Benchmarks of strategies on the same targets: evaluations and core-seconds to reach given errors.
 
 Each target is a compressed body whose constants are hidden from the search. Its study runs to
 completion in one process and counts CPU seconds; an interrupted study is resumed.

@@ -1,4 +1,4 @@
-"""Chart of the convergence of strategies: score and error over evaluations and seconds."""
+"""Chart of the convergence of strategies: score and error against evaluations and seconds."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -25,8 +25,8 @@ class FollowTheWork(Adaptive):
     Parameters
     ----------
     *arguments, **options
-        As for Dask's ``Adaptive``; ``wait_count`` is the number of checks for which a worker
-        must have been superfluous.
+        As for Dask's ``Adaptive``; ``wait_count`` is the number of consecutive checks after which a
+        superfluous worker is retired.
     """
 
     def __init__(self, *arguments: Any, **options: Any) -> None:

@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 def add_tab(client: Client) -> bool:
-    """Add the tab to a client's scheduler, unless it is there already.
+    """Add the tab to a client's scheduler, unless it is already there.
 
     Returns
     -------

@@ -380,7 +380,7 @@ def value_of(ending: Ending, what: str) -> Any:
     ClusterError
         If the task was lost.
     TaskError
-        If the task raised any other exception; with the traceback of the worker.
+        If the task raised any other exception; the message has the worker's traceback.
     """
     if ending.kind == "returned":
         return ending.value

@@ -41,7 +41,7 @@ def explained_imports() -> Iterator[None]:
 
 
 def raise_if_foreign(error: BaseException) -> None:
-    """Raise an error if a worker has no Palpate, or another version of it.
+    """Raise an error if a worker lacks Palpate or has another version of it.
 
     Raises
     ------

@@ -2,8 +2,8 @@
 
 A spawned worker spends one and a half seconds on imports before its first task. The fork
 server of Python's multiprocessing imports once, in a separate process, while the command still
-reads its input; forking a copy takes a tenth of a second, also when it replaces a worker that
-died. The fork server ends with the command, whether or not a worker was started.
+reads its input; forking a copy takes a tenth of a second, even when it replaces a worker that died.
+The fork server ends with the command, whether or not a worker was started.
 """
 
 import os

@@ -32,7 +32,7 @@ class SingleProcess:
         return {"this process": task(*arguments)}
 
     def run(self, task: Task, calls: TaskCalls) -> Iterator[Ending]:
-        """Run tasks that may fail: an exception is a crash, unless it is an error of the store."""
+        """Run tasks that may fail: an exception is a crash, unless it is a store error."""
         for key, arguments in ready(calls):
             try:
                 yield Ending(key, "returned", task(*arguments))

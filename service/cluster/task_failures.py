@@ -13,7 +13,7 @@ FULL_DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 
 
 class as_cluster_error:  # noqa: N801 - a context manager
-    """Explain the exceptions that Dask raises after the scheduler has gone."""
+    """Explain the exceptions that Dask raises once the scheduler is gone."""
 
     def __enter__(self) -> None:
         return None

@@ -20,7 +20,7 @@ from palpate.workers.tasks.sources import add_source, check_nodes, check_source,
 from palpate.workers.tasks.task_store import TaskStore
 
 PlanObserver = Callable[[int, int, LoadRecord | None], object]
-"""Called with the number of completed loads, of all loads, and the last record or None."""
+"""Called with the number of completed loads, the total, and the last record or None."""
 
 NODES = 2000
 
@@ -33,7 +33,7 @@ def request_plan(
     *,
     anyway: bool = False,
 ) -> PlanRequest:
-    """Return the request of `checked_plan` alone."""
+    """Return only the request from `checked_plan`."""
     return checked_plan(path, store, nodes, spacing_mm, anyway=anyway)[0]
 
 

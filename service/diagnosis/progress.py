@@ -34,7 +34,7 @@ class DiagnosisProgress:
     console : rich.console.Console
         Console on standard error.
     every_s : float
-        The longest time without a line.
+        Longest time between lines, in s.
     """
 
     def __init__(self, console: Console, every_s: float = LINE_EVERY_S) -> None:

@@ -260,8 +260,8 @@ class _Phases:
 def _spare(threads: int, tasks: int, is_slow: bool) -> int:
     """Return the number of threads for one of several tasks.
 
-    An even share; if there will soon be fewer tasks than threads, a slow task starts with two, so
-    that it does not run alone at the end.
+    Threads are shared evenly; if there will soon be fewer tasks than threads, a slow task starts
+    with two, so that it does not run alone at the end.
     """
     even = max(1, threads // tasks)
     waited_for = tasks < 2 * threads and is_slow

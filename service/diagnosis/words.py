@@ -201,7 +201,7 @@ def millimetres(gap: Interval | None) -> str:
 def length(mm: float, beside: float | None = None) -> str:
     """Return a length in mm with two decimals.
 
-    If it or the length shown next to it is smaller than that, with two significant digits.
+    Use two significant digits if it or the length shown next to it is smaller than that.
 
     Examples
     --------
@@ -228,7 +228,7 @@ def headline(summary: Summary) -> str:
 
 
 def hidden(summary: Summary) -> str:
-    """Return a note on effects that scans support though constants almost mimic them."""
+    """Return a note on effects that scans support although constants almost mimic them."""
     sure = [n for n in summary.absorbed if _is_sure(summary, n)]
     if not sure:
         return ""

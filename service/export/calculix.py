@@ -75,10 +75,10 @@ def _notes_on_fibres(model: SolverModel) -> Iterator[str]:
         return
     if not model.isochoric_fibre:
         yield (
-            "Fibres: separate elements on the same nodes, wherever fibres are stretched at the "
-            "end: 1/2 E : C : E with C = 4 eta along the fibre, which is eta/2 (I4 - 1)^2 in "
-            "CalculiX. Abaqus uses *ELASTIC for another law: there, define fibres as *ANISOTROPIC "
-            "HYPERELASTIC."
+            "Fibres: separate elements on the same nodes, wherever fibres are stretched in the "
+            "final state: 1/2 E : C : E with C = 4 eta along the fibre, which is eta/2 (I4 - 1)^2 "
+            "in CalculiX. Abaqus uses *ELASTIC for another law: there, define fibres as "
+            "*ANISOTROPIC HYPERELASTIC."
         )
         return
     yield (
@@ -149,7 +149,7 @@ def _fibre_layers(model: SolverModel, numbers: Iterator[int]) -> Iterator[str]:
 
 
 def _lines(fields: list[str]) -> Iterator[str]:
-    """Yield lines of eight fields, the most that a card may have."""
+    """Yield lines of eight fields, the maximum for a card."""
     for first in range(0, len(fields), 8):
         yield ",".join(fields[first : first + 8])
 

@@ -64,7 +64,7 @@ class SolvedBody:
         return organ.picture(deformed)
 
     def under(self, problem: Problem) -> "SolvedBody":
-        """Return the same body under another problem.
+        """Return the same body, solved for another problem.
 
         Raises
         ------

@@ -37,7 +37,7 @@ class Fibres:
     direction : ndarray, shape (3,)
         Unit vector.
     elements : ndarray, shape (k,)
-        Elements in which they act at the end: for tension-only fibres, the stretched ones.
+        Elements in which they act in the final state: for tension-only fibres, the stretched ones.
     """
 
     eta_mpa: float

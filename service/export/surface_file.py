@@ -1,7 +1,8 @@
 """Export of a body's surface as triangles, binary `.stl`.
 
-A header of 80 bytes, the number of triangles, and for each its unit normal, three corners and two
-spare bytes, all little-endian in single precision. STL has no units; these are mm.
+The file has a header of 80 bytes, the number of triangles, and for each its unit normal, three
+corners and two spare bytes, all little-endian in single precision. STL has no units; coordinates
+are in mm.
 """
 
 from pathlib import Path

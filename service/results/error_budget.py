@@ -86,7 +86,7 @@ class ErrorSource:
 
     @property
     def sd(self) -> FloatArray:
-        """Return its standard deviation for each coordinate, shape (p,)."""
+        """Return the standard deviation of each coordinate due to this source, shape (p,)."""
         return np.asarray(np.sqrt((self.root**2).sum(axis=1)))
 
     def sd_along(self, slope: FloatArray) -> float:
@@ -95,7 +95,7 @@ class ErrorSource:
 
     @property
     def supported(self) -> bool:
-        """Return True if it has decisive support from the residual."""
+        """Return True if the residual decisively supports this source."""
         return self.log_bayes_factor > DECISIVE
 
 

@@ -217,7 +217,7 @@ class LocalModel:
         return {source.name: float(source.sd[i] * unit) for source in self.sources}
 
     def prior_share(self, i: int) -> float:
-        """Return the part of what is known about a constant that its prior contributes, 0 to 1.
+        """Return the share of the information on a constant that its prior contributes, 0 to 1.
 
         The information is the inverse of the variance; 0 without a prior.
         """

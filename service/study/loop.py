@@ -237,7 +237,7 @@ class _Run:
         self.hooks.started(facts)
 
     def _prepare(self) -> StudyWork:
-        """Store the case and the target, which is quick if they are stored already."""
+        """Store the case and the target, which is quick if they are already stored."""
         store, workers = str(self.store.root), self.dispatcher.threads
         require_plugins(self.dispatcher, used_plugins(self.spec))
         body = self.dispatcher.call(self.tasks.prepare, self.case, store)

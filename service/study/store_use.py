@@ -164,7 +164,7 @@ def find_garbage(
     uses : iterable of StudyUse
         Uses of all studies to keep.
     older_than_days : float
-        Younger entries are kept: a run may be using them.
+        Newer entries are kept: a run may be using them.
     images : bool
         Whether to include imported images, which cannot be recomputed.
     """

@@ -51,7 +51,7 @@ class SearchRun:
 
     @property
     def most_evaluations(self) -> int:
-        """Return the evaluations if nothing stops it early; elites are not evaluated again."""
+        """Return the number of evaluations without an early stop; elites are not reevaluated."""
         return self.spec.most_evaluations
 
     @property

@@ -116,7 +116,7 @@ class Journal:
 
     @staticmethod
     def lines(path: Path | str) -> Iterator[tuple[dict[str, Any], bool]]:
-        """Yield every whole record in order, with True if its checksum was verified.
+        """Yield every whole record in order, and whether its checksum was verified.
 
         A missing journal has no records. Records of earlier versions have no checksum.
 

@@ -1,4 +1,4 @@
-"""Meshes: in Zarr in a store, exported with meshio."""
+"""Meshes: stored in Zarr, exported with meshio."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,7 +16,7 @@ from palpate.storage.values import TetMesh
 
 # Formats of one file that can hold values. Meshio alone would write .msh for Ansys.
 FULL_FROM_SIX = (0, 3, 5, 3, 1, 4, 5, 4, 2)
-"""Indices of a 3 x 3 tensor in xx, yy, zz, xy, yz, xz."""
+"""Indices into a 3 x 3 tensor, in the order xx, yy, zz, xy, yz, xz."""
 FORMATS = {".vtu": "vtu", ".vtk": "vtk", ".msh": "gmsh"}
 
 

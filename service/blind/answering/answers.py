@@ -63,7 +63,7 @@ class Answer:
     id : str
         Identifier of the case.
     code : str
-        Digest of the diagnosing source.
+        Digest of the source code of the diagnosis.
     scans : tuple of str
         Names of the loaded scans.
     summary : Summary
@@ -98,7 +98,7 @@ def write_answer(
     request : DiagnosisRequest
         Request of the diagnosis, whose parts are still in the store.
     code : str
-        Digest of the diagnosing source.
+        Digest of the source code of the diagnosis.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def seal_answers(
     Parameters
     ----------
     diagnosis : FrozenDiagnosis
-        The answering diagnosis, see `service.blind.sealed.sealed_settings`.
+        The diagnosis that answered; see `service.blind.sealed.sealed_settings`.
     reason : str or None
         Why it differs from the one in the manifest.
     """

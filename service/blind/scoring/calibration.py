@@ -44,7 +44,7 @@ class Bin:
 
 
 def statements(record: CaseRecord) -> list[tuple[float, bool]]:
-    """Return the stated probabilities of an answer, each with whether the statement is true."""
+    """Return the stated probabilities of an answer, each with the truth of its statement."""
     if record.group == "relative":
         of_families = record.family_probabilities.items()
         said = [(p, family in record.families) for family, p in of_families]
@@ -74,9 +74,9 @@ def log_score(records: Sequence[CaseRecord]) -> Estimate:
 def calibration_error(records: Sequence[CaseRecord], bins: int = BINS) -> Estimate:
     """Return the expected calibration error, with the interval of a bootstrap over cases.
 
-    The mean over the statements of the distance between the share of true statements and the
-    stated probability, in bins of similar probability (M. P. Naeini, G. F. Cooper and
-    M. Hauskrecht, AAAI 2015, 2901).
+    This is the mean, over all statements, of the distance between the share of true statements and
+    the stated probability, in bins of similar probability (M. P. Naeini, G. F. Cooper and M.
+    Hauskrecht, AAAI 2015, 2901).
     """
     tables = []
     for s in filter(None, map(statements, records)):

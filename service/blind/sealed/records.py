@@ -109,7 +109,7 @@ class CaseRecord:
 
     @property
     def named(self) -> bool:
-        """Return True if the answer is an effect, or two that act together, without doubt."""
+        """Return True if the answer is certain: an effect, or two that act together."""
         return self.answer == "effect"
 
     @property

@@ -105,7 +105,7 @@ def _diagnosed(
 
 
 def _to_be_planned(summary: Summary, source: Path, wanted: bool | None) -> bool:
-    """Check whether to plan further measurements, which needs a source that can be planned."""
+    """Check whether to plan further measurements, which not every source supports."""
     return (undecided(summary) and is_plannable(source)) if wanted is None else wanted
 
 

@@ -118,7 +118,7 @@ def _steps(study: ComparedStudy, across: Scale, up: Scale) -> list[tuple[float, 
 
 
 def _log_axis(svg: Svg, across: Scale, most: int, y: float, narrow: bool) -> None:
-    """Draw ticks at 1, 2, 5, 10, 20 ... evaluations; at powers of ten on a narrow page."""
+    """Draw ticks at 1, 2, 5, 10, 20 ... evaluations, or at powers of ten on a narrow page."""
     steps = (1,) if narrow and most > 100 else (1, 2, 5)
     for power in range(len(str(most))):
         for step in steps:

@@ -38,8 +38,8 @@ class Misfits:
     points : ndarray, shape (k, 3)
         Points at rest, in mm.
     before, after : ndarray, shape (s, k, 3)
-        From measured to predicted points, for the nominal model and the one with the effect;
-        `after` is None if no effect is named.
+        Vectors from measured to predicted points, for the nominal model and the one with the
+        effect; `after` is None if no effect is named.
     """
 
     points: FloatArray
@@ -75,7 +75,7 @@ def arrow_pictures(
     Parameters
     ----------
     maps : dict of str to ndarray
-        See `service.diagnosis.run.FinishedDiagnosis`; of a bench experiment.
+        See `service.diagnosis.run.FinishedDiagnosis`; for a bench experiment.
     states : sequence of str
     named : str
         Name of the effect in ``after``.

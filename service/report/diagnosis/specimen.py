@@ -58,7 +58,7 @@ def specimen_pictures(maps: Arrays, summary: Summary, named: str) -> Iterator[Pi
     Parameters
     ----------
     maps : dict of str to ndarray
-        See `service.diagnosis.run.FinishedDiagnosis`; of a bench experiment.
+        See `service.diagnosis.run.FinishedDiagnosis`; for a bench experiment.
     summary : Summary
     named : str
         Name of the effect in ``after``.

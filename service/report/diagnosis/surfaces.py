@@ -165,7 +165,7 @@ def colours_of(
 ) -> FloatArray:
     """Return the unshaded colour of each triangle, shape (m, 3).
 
-    Grey if the residual of the nearest point is within the noise, paler if no point is near.
+    It is grey if the residual of the nearest point is within the noise, paler if no point is near.
     """
     nearest, unknown = solid.nearest
     shown = colours.at(residual)

@@ -90,7 +90,7 @@ def section(volume: Volume, view: View, at_mm: float) -> Section:
 
 
 def middle_mm(volume: Volume, tissues: Iterable[int]) -> Triple:
-    """Return the centroid of tissues as (x, y, z); of the whole body if it has none of them.
+    """Return the centroid of tissues as (x, y, z), or of the whole body if it has none of them.
 
     Raises
     ------

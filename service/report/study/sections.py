@@ -86,7 +86,7 @@ def side_by_side(
 
 
 def middles(bodies: Bodies, tissues: Sequence[int]) -> tuple[Triple | None, Triple | None]:
-    """Return the points where the undeformed body and the target are cut, amid `tissues`.
+    """Return the points where the undeformed body and the target are cut, within `tissues`.
 
     Target and best candidate are cut at the same place.
     """

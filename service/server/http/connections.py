@@ -93,7 +93,7 @@ def _deadline_of(connection: Connection) -> float:
 
 
 def most_connections() -> int:
-    """Return the most open connections that the limit of open files allows."""
+    """Return the maximum number of connections that the limit of open files allows."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return max(16, min(MOST_CONNECTIONS, soft - SPARE_FILES))
 

@@ -115,7 +115,7 @@ def _check_neutral(effect: Effect, problem: Problem) -> None:
     uneven = any(v.log_factor(points).any() for v in neutral.variations)
     turned = neutral.fibres.directions(points) - problem.fibres.directions(points)
     claim(not uneven, f"{effect.name} varies the stiffness at its neutral values.")
-    claim(not turned.any(), f"{effect.name} turns the fibres at its neutral values.")
+    claim(not turned.any(), f"{effect.name} rotates the fibres at its neutral values.")
     effect.apply(problem, effect.plausible, FRAME)
     claim(problem == before, f"{effect.name} changes a problem in place.")
 

@@ -51,7 +51,7 @@ def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str
     spec = validated(stated.case, {"organ": name, **case}, "The case")
     claim(spec.organ == name, f"A case of {name} has the organ {spec.organ!r}.")
     doors = [p.door_name for p in stated.parameters]
-    claim(len(set(doors)) == len(doors), f"{name} has a parameter twice.")
+    claim(len(set(doors)) == len(doors), f"{name} has duplicate parameters.")
     body = organ.make_body(spec.reference)
     mesh = organ.make_mesh(body, spec)
     _check_store(organ, body, mesh)
@@ -113,8 +113,8 @@ def _check_solution(
     own, before = (scorer.score(one).as_dict()["gsf"] for one in (deformed, body))
     claim(
         own < before,
-        f"The deformed {name} resembles itself (GSF {own:g}) no better than the undeformed one "
-        f"does ({before:g}).",
+        f"The deformed {name} scores no better against itself (GSF {own:g}) than the undeformed "
+        f"one does ({before:g}).",
     )
 
 

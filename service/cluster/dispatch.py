@@ -305,7 +305,7 @@ class Dispatcher:
         if waited_s > self.no_ending_s:
             raise ClusterError(
                 f"There are {self._threads} workers, but no task has ended for "
-                f"{waited_s:.0f} s. Look at the dashboard, restart the workers, and run the "
+                f"{waited_s:.0f} s. Check the dashboard, restart the workers, and run the "
                 "same command again to continue."
             )
 

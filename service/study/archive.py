@@ -198,7 +198,7 @@ def _manifest(tar: tarfile.TarFile, archive: Path) -> dict[str, Any]:
         check_schema(manifest["schema_version"], SCHEMA_VERSION, archive)
         hashes = manifest["sha256"]
         if not all(_MEMBER.fullmatch(name) and isinstance(hashes[name], str) for name in hashes):
-            raise ValueError("it names files that no study has")
+            raise ValueError("it contains files that do not belong to a study")
         if not re.fullmatch(_PART, manifest["study"]):
             raise ValueError("it does not name a study")
     except (ValueError, KeyError, TypeError, AttributeError) as error:

@@ -35,7 +35,7 @@ class SetProgress:
         if self._bar is not None:
             self._bar.start()
         else:
-            self._line(f"{self.of} cases, {self.done} of them {self.what} already")
+            self._line(f"{self.of} cases, {self.done} of them already {self.what}")
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -84,7 +84,7 @@ def unanswered(answering: Answering) -> list[str]:
         raise InputError(
             f"{blind.answers(answering.directions)} has answers from other code: "
             f"{', '.join(others)}. "
-            "Answer a set with one version: return to that one, or remove these answers."
+            "Answer a set with one version: go back to that version, or remove these answers."
         )
     return [n for n in names if n not in answered]
 

@@ -23,12 +23,12 @@ BEGIN, END = "<!-- figures -->", "<!-- end of figures -->"
 
 
 def filled(text: str, scored: ScoredSet) -> str:
-    """Return `text` with the metrics between its two marks, replacing existing ones.
+    """Return `text` with the metrics between its two markers, replacing existing ones.
 
     Raises
     ------
     InputError
-        If the marks are missing or in the wrong order.
+        If the markers are missing or in the wrong order.
     """
     before, begin, rest = text.partition(BEGIN)
     _, end, after = rest.partition(END)

@@ -96,5 +96,7 @@ def read_json(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"Cannot read {path}: {error.strerror or error}.") from error
     if not isinstance(record, dict):
-        raise InputError(f"{path} has no record: found {type(record).__name__}, expected {{..}}.")
+        raise InputError(
+            f"{path} does not contain a record: found {type(record).__name__}, expected {{..}}."
+        )
     return record

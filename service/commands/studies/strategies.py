@@ -46,7 +46,7 @@ def strategies(
     """
     chosen = only.split(",")
     if unknown := sorted(set(chosen) - set(STRATEGIES)):
-        raise InputError(f"--only {unknown[0]}: expected some of {', '.join(STRATEGIES)}.")
+        raise InputError(f"--only {unknown[0]}: expected one or more of {', '.join(STRATEGIES)}.")
     rows = []
     bench = Bench(targets, nodes, spacing_mm, target_nodes)
     for row in measure(folder, chosen, bench, workers):

@@ -186,7 +186,7 @@ def score(
     into: Annotated[
         Path | None,
         typer.Option(
-            help="Insert the figures into this text file, between its two marks.",
+            help="Insert the figures into this text file, between its two markers.",
             show_default=False,
         ),
     ] = None,
@@ -241,7 +241,7 @@ def _write(page: Path, scored: ScoredSet) -> None:
 
 def _put_into(text: Path, scored: ScoredSet) -> None:
     if not text.is_file():
-        raise InputError(f"--into {text}: no such file. Give a text file with the two marks.")
+        raise InputError(f"--into {text}: no such file. Give a text file with the two markers.")
     write_file(text, filled(text.read_text(encoding="utf-8"), scored).encode())
 
 

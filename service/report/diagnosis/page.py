@@ -180,9 +180,9 @@ def _left_out(summary: Summary) -> str:
     if not summary.left_out:
         return ""
     return (
-        f"Of {summary.points + summary.left_out} points, {summary.left_out} were left out, because "
-        "some scan does not show them clearly: tissue missing from one segmentation, or strands "
-        "that are too thin. "
+        f"Of {summary.points + summary.left_out} points, {summary.left_out} were left out, "
+        f"because at least one scan does not show them clearly: tissue missing from one "
+        f"segmentation, or strands that are too thin. "
     )
 
 
@@ -191,7 +191,7 @@ def _advice(summary: Summary) -> str:
     if not undecided(summary) or summary.markers is not None or summary.next_acquisitions:
         return ""
     return (
-        "These scans do not decide between the causes. Run “palpate plan” on the same folder to "
+        "These scans cannot decide between the causes. Run “palpate plan” on the same folder to "
         "find the further measurement that would distinguish them best: another load, another "
         "direction, or a second segmentation of the same scans."
     )
@@ -302,9 +302,9 @@ def _about_causes(summary: Summary) -> str:
     if len(summary.primary) > 1 and summary.verdict == "effect":
         held = f"{together(summary.primary)} together explain more than any single effect"
     elif len(summary.set90) == 1:
-        held = f"{spoken(summary.set90[0])} alone holds 90 % of the probability"
+        held = f"{spoken(summary.set90[0])} alone accounts for 90 % of the probability"
     else:
-        held = f"90 % of the probability is held by {together(summary.set90)}"
+        held = f"{together(summary.set90)} account for 90 % of the probability"
     sentences = [f"{held[0].upper()}{held[1:]}."]
     if len(named) > 1 and max(summary.families.values()) > LIKELY:
         families = sorted(summary.families.items(), key=lambda item: -item[1])

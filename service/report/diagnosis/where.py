@@ -130,7 +130,7 @@ def cause_words(causes: CauseMapSummary) -> str:
 
 
 def _beyond(said: str) -> str:
-    return f"points beyond twice the noise of a point: {said}. Noise alone puts 5 % there"
+    return f"points beyond twice the noise of a point: {said}. Noise alone would put 5 % there"
 
 
 def _loud(found: Arrays, scan: int, named: str, own: BoolArray) -> str:

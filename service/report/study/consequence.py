@@ -86,9 +86,9 @@ def next_step(results: StudyResults, target: TargetKind | None) -> Markup:
         if e.estimate is not None and at_edge(e.estimate, (e.lower, e.upper))
     ]
     if edges:
-        return Markup("Widen the searched interval of {} and run it under another name.").format(
-            joined(edges)
-        )
+        return Markup(
+            "Widen the searched interval of {} and run the study under another name."
+        ).format(joined(edges))
     known = results.identification
     if known is not None and any(c.identifiable == "ratio" for c in known.constants.values()):
         return Markup(

@@ -13,8 +13,8 @@ from palpate.service.report.drawing.plates import Plates
 from palpate.service.report.drawing.slices import View
 from palpate.storage.values import Triple, Volume
 
-HINT = "Move the slider, or focus it and use the arrow keys. Point at a slice to read it."
-FLAT_HINT = "Point at the section to read it."
+HINT = "Move the slider, or focus it and use the arrow keys. Point at a slice to read its values."
+FLAT_HINT = "Point at the section to read its values."
 MARGIN_MM = 3.0
 
 

@@ -183,7 +183,7 @@ def _uploads(service: Service) -> APIRouter:
             if used and job.state in ("waiting", "paused"):
                 raise HTTPException(409, f"Job {job.id} needs {folder}: cancel it first.")
         if not service.uploads.remove(folder):
-            raise HTTPException(404, f"There are no uploads {folder}.")
+            raise HTTPException(404, f"There is no upload folder {folder}.")
 
     return router
 

@@ -107,7 +107,7 @@ def write_report(folder: Path, quick: bool) -> None:
         raise ReportError(f"it was not finished after {REPORT_S:.0f} s") from None
     if ended.returncode != 0:
         lines = ended.stderr.decode(errors="replace").strip().splitlines()
-        _log.error("The page of %s has failed: %s", folder, "\n".join(lines))
+        _log.error("The page of %s could not be written: %s", folder, "\n".join(lines))
         raise ReportError(
             lines[-1] if lines else f"its process ended with exit code {ended.returncode}"
         )

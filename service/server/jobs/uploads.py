@@ -152,8 +152,8 @@ class Uploads:
     def too_large(self, file: str) -> TooLargeError:
         """Return the error for a file that is too large."""
         return TooLargeError(
-            f"{file} is too large: one file may have {self.limits.upload_bytes} bytes, "
-            f"all uploads together {self.limits.uploads_bytes}."
+            f"{file} is too large: a file may have at most {self.limits.upload_bytes} bytes, "
+            f"and all uploads together {self.limits.uploads_bytes}."
         )
 
     def remove(self, folder: str) -> bool:

@@ -121,7 +121,7 @@ def _aspects(found: MeshResult) -> Table:
             ]
         )
     headings = ("Mesh", "Average, thesis", "Palpate", "Worst, thesis", "Palpate", "10 or more")
-    note = "Longest edge over shortest altitude, 1 for a regular tetrahedron."
+    note = "Longest edge divided by shortest altitude, 1 for a regular tetrahedron."
     return Table("Aspect ratios (Table 4.2)", headings, rows, note=note)
 
 

@@ -32,7 +32,7 @@ def chapter(found: Sequence[Varied], cost: Cost | None) -> Chapter:
             picture(
                 charts.sensitivity_curves(found),
                 "JC and MHD against each constant.",
-                "Dotted: the target. A flat curve cannot be identified.",
+                "Dotted: the target. A constant with a flat curve cannot be identified.",
             ),
         ),
         differences=(

@@ -221,13 +221,13 @@ def test_lists_causes_outside_catalogue(page: Page) -> None:
 def test_counts_points_left_out(page: Page) -> None:
     assert "left out" not in page.text
     told = summary() | {"left_out": 9}
-    said = f"Of {told['points'] + 9} points, 9 were left out, because some scan does not show them"
+    said = f"Of {told['points'] + 9} points, 9 were left out, because at least one scan does not"
     assert said in Page(render(found(told))).text
 
 
 def test_the_set_of_several_causes_names_their_family() -> None:
     text = Page(render(found(VERDICTS["not told apart"]))).text
-    assert "90 % of the probability is held by plate tilt, plate flex and no gap." in text
+    assert "Plate tilt, plate flex and no gap account for 90 % of the probability." in text
     assert "The most probable family is plate geometry (> 99 %)." in text
 
 

@@ -75,7 +75,7 @@ def test_gradient_is_the_limit_of_differences(
     assert error < 1e-4 * np.linalg.norm(difference)
 
 
-def test_agrees_with_command(
+def test_python_agrees_with_the_command(
     result: palpate.CorneaSimulation,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

@@ -151,7 +151,7 @@ case:
 """
 
 
-def test_agrees_with_command(
+def test_python_agrees_with_the_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The file has neither target nor search."""

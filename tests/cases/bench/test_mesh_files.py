@@ -191,7 +191,7 @@ def test_rejects_cavities_and_loose_pieces(tmp_path):
 
 
 @pytest.mark.parametrize("flip", [False, True])
-def test_doubled_facets_count_once(tmp_path, flip):
+def test_duplicate_facets_count_once(tmp_path, flip):
     points, faces = box_surface((0, 0, 0), SIZE)
     again = faces[:, ::-1] if flip else faces
     mesh = joined(((points, faces), "triangle"), ((points, again), "triangle"))

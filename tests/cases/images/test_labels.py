@@ -254,7 +254,7 @@ class TestStudiesAndImports:
         with pytest.raises(ValueError, match=said):
             BreastCase.model_validate({"reference": reference, "load": {"force_n": 1}})
 
-    def test_import_reads_names(
+    def test_import_reads_label_names(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
         monkeypatch.chdir(tmp_path)
@@ -348,7 +348,7 @@ class TestValues:
         ("bad", "said"),
         [(2e-3, "it contains 0.002"), (np.nan, "it contains NaN"), (np.inf, "infinity")],
     )
-    def test_other_numbers_are_refused(self, bad: float, said: str) -> None:
+    def test_fractions_and_non_finite_numbers_are_refused(self, bad: float, said: str) -> None:
         values = breast().astype(float)
         values[0, 0, 0] = bad
         with pytest.raises(InputError, match=said):

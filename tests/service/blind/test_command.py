@@ -48,7 +48,7 @@ def test_gives_up_a_case_without_any_equilibrium(
 
 
 @pytest.mark.slow
-def test_make_run_and_score(
+def test_a_set_is_made_run_and_scored(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

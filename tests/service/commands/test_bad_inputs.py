@@ -179,7 +179,7 @@ def test_interrupt_prints_how_to_continue(
     ],
     ids=lambda environment: next(iter(environment)),
 )
-def test_output_on_unusual_terminals(
+def test_output_is_complete_on_unusual_terminals(
     palpate: dict[str, str], tmp_path: Path, environment: dict[str, str]
 ) -> None:
     done = subprocess.run(

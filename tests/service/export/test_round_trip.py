@@ -38,7 +38,7 @@ def full(six: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("suffix", MESH_SUFFIXES)
-def test_mesh_round_trip_with_fields(body: SolvedBody, suffix: str, tmp_path: Path) -> None:
+def test_mesh_round_trips_with_fields(body: SolvedBody, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"b{suffix}"
     export_solved([path], body)
     found = meshio.read(path)
@@ -72,7 +72,7 @@ def test_mesh_round_trip_with_fields(body: SolvedBody, suffix: str, tmp_path: Pa
     assert all(name.startswith("gmsh:") for name in extra)
 
 
-def test_surface_round_trip(body: SolvedBody, tmp_path: Path) -> None:
+def test_surface_round_trips(body: SolvedBody, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.stl"], body)
     found = meshio.read(tmp_path / "b.stl")
     triangles = boundary_triangles(body.level.model.elements.tets)
@@ -81,7 +81,7 @@ def test_surface_round_trip(body: SolvedBody, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", LABEL_SUFFIXES)
-def test_label_round_trip_by_name(body: SolvedBody, suffix: str, tmp_path: Path) -> None:
+def test_labels_round_trip_by_name(body: SolvedBody, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"b{suffix}"
     export_solved([path], body)
     written, found = body.deformed_labels(), read_labels(path)
@@ -116,7 +116,7 @@ def model(body: SolvedBody) -> SolverModel:
     return solver_model(body, body.under(comparable(body.solved.problem)))
 
 
-def test_calculix_round_trip(body: SolvedBody, model: SolverModel, tmp_path: Path) -> None:
+def test_calculix_file_round_trips(body: SolvedBody, model: SolverModel, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.inp"], body)
     nodes, tets, reading = [], [], ""
     for line in (tmp_path / "b.inp").read_text().splitlines():
@@ -130,7 +130,7 @@ def test_calculix_round_trip(body: SolvedBody, model: SolverModel, tmp_path: Pat
     assert {*tets} == {*map(tuple, model.tets)}
 
 
-def test_febio_round_trip(body: SolvedBody, model: SolverModel, tmp_path: Path) -> None:
+def test_febio_file_round_trips(body: SolvedBody, model: SolverModel, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.feb"], body)
     mesh = Xml.parse(tmp_path / "b.feb").getroot().find("Mesh")
     nodes = [[float(v) for v in n.text.split(",")] for n in mesh.iter("node") if n.get("id")]

@@ -60,7 +60,9 @@ def test_a_study_over_http_equals_one_run_here(
     assert saved.read_text().splitlines() == lines
 
 
-def test_pause_resume_and_cancel(service: ServiceProcess, client: Client) -> None:
+def test_a_study_can_be_paused_resumed_and_cancelled(
+    service: ServiceProcess, client: Client
+) -> None:
     slow = named("slow", SPEC).replace("seed: 7", "seed: 11")
     store = service.home / "store"
     set_manners(store, held_after=len(executed(store)) + 3)

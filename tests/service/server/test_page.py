@@ -86,7 +86,9 @@ def named(name: str, text: str = SPEC) -> str:
     return text.replace("name: demo", f"name: {name}")
 
 
-def test_submit_watch_pause_resume_cancel(shown: Shown, served: ServiceProcess) -> None:
+def test_a_study_can_be_submitted_paused_resumed_and_cancelled(
+    shown: Shown, served: ServiceProcess
+) -> None:
     set_manners(served.home / "store", seconds=0.05)
     page = shown.page
     page.click("text=Submit a study")

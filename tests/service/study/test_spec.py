@@ -38,7 +38,7 @@ def test_genes_in_kpa_become_constants_in_mpa() -> None:
     }
 
 
-def test_study_round_trip() -> None:
+def test_study_round_trips() -> None:
     spec = parsed(SPEC + "seed: 3\nkeep: elites\n")
     assert StudySpec.model_validate(spec.as_dict()) == spec
     without_stall = parsed(SPEC.replace("eta_fat_kpa: [50, 200]}", "E_glandular_kpa: [5, 80]}"))

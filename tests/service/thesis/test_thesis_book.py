@@ -121,7 +121,7 @@ def test_larger_errors_of_eta_have_a_reason() -> None:
     assert "flat valley" in eta.reason
 
 
-def test_json_round_trip() -> None:
+def test_results_round_trip_through_json() -> None:
     text = json.dumps(to_plain(to_json(whole())), allow_nan=False)
     again = from_json(ThesisResults, json.loads(text))
     assert again.search == whole().search

@@ -29,7 +29,7 @@ def test_positive_is_red_and_negative_is_blue() -> None:
 
 
 @pytest.mark.parametrize("height", [60.0, 150.0, 500.0])
-def test_bar_tick_positions(height: float) -> None:
+def test_colour_bar_ticks_are_at_their_values(height: float) -> None:
     svg = Svg(100, height)
     colour_bar(svg, GREYS, 10.0, (0.0, height), "label", strokes=(1.0,))
     ticks = {

@@ -34,7 +34,7 @@ def told_by(element: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("kind", TYPES)
-def test_array_round_trip(kind: str) -> None:
+def test_packed_arrays_round_trip(kind: str) -> None:
     values = np.arange(200).reshape(4, 5, 10)
     np.testing.assert_array_equal(unpacked(packed(values, kind)), values.ravel())
 

@@ -106,7 +106,7 @@ def draw_samples(
         If a constant is unknown or has no interval, with the reason.
     """
     if n < 1:
-        raise InputError(f"n = {n}: expected at least one draw.")
+        raise InputError(f"n = {n}: expected at least 1 draw.")
     names = _names(results, constants)
     for name in names:
         if results.estimates[name].interval is None:

@@ -47,7 +47,7 @@ def test_option_overrides_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     [
         ("0", "at least 1"),
         ("0-4", "at least 1"),
-        ("4-1", "so 1-4"),
+        ("4-1", "first: 1-4"),
         *((text, "expected a number") for text in ("a-b", "", "1-", "-4", "1-4-8", "2.5", "4 2")),
     ],
 )

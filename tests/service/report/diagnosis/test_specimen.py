@@ -49,7 +49,7 @@ def test_picture_shows_points_edges_and_magnification() -> None:
     found = summary(state("a", 0.3, 0.0), state("b", 0.3, 0.1))
     shown, _ = specimen_pictures(maps(2), found, "plate tilt")
     assert shown.alt.startswith("b: ")  # the state that is farthest off comes first
-    assert "drawn 10 times as large; the largest measures 0.30 mm" in shown.alt
+    assert "drawn 10 times as large; the largest is 0.30 mm" in shown.alt
     wide = str(shown.svg).split("<svg")[1]
     assert len(re.findall(r'<circle[^>]*class="target"', wide)) == 1 + 2 * 2  # legend, two views
     assert len(re.findall(r'class="left-before"', wide)) == 1 + 2 * 2

@@ -58,7 +58,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "store": results.store,
         "folder": str(results.folder),
         "config": spec.as_dict(),
-        "lowest_gsf": None if (low := results.lowest_gsf) is None else _evaluation(low, spec),
+        "lowest_score": None if (low := results.lowest_score) is None else _evaluation(low, spec),
         "best_note": results.best_note,
     }
     return dict(to_plain(record))

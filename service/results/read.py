@@ -86,7 +86,7 @@ def study_results(folder: Path) -> StudyResults:
         identification=identification,
         unverified_records=log.unverified,
         caveats=(*log.caveats, *_priors_included(spec)),
-        lowest_gsf=ranked.lowest_gsf,
+        lowest_score=ranked.lowest_score,
         best_note=ranked.note,
         posterior=posterior,
     ).judged

@@ -115,11 +115,11 @@ class GenerationScores:
     Parameters
     ----------
     best : float
-        GSF of the best candidate; -inf for identical volumes, +inf if all have failed.
+        Score of the best candidate; -inf for identical volumes, +inf if all have failed.
     mean : float or None
         Mean of the finite scores; None if there are none.
     best_candidate : int
-        Number of the best candidate: by the sum of squares if that is minimised, else by GSF.
+        Number of the best candidate: by the sum of squares if that is minimised, else by score.
     best_genes : mapping of str to float
         Its parameters, in external units.
     failed : int
@@ -208,10 +208,10 @@ class StudyResults:
         The identifiability of each constant; None until the search has stopped.
     unverified_records : int
         Number of journal records without a checksum, written by an earlier version.
-    lowest_gsf : EvaluationRecord or None
-        The candidate with the lowest GSF, if it is not the best one.
+    lowest_score : EvaluationRecord or None
+        The candidate with the lowest score, if it is not the best one.
     best_note : str
-        Why the best candidate does not have the lowest GSF; empty if it does.
+        Why the best candidate does not have the lowest score; empty if it does.
     posterior : Posterior or None
         The posterior behind the intervals; None without derivatives of the best candidate.
     """
@@ -238,7 +238,7 @@ class StudyResults:
     identification: Identification | None = None
     unverified_records: int = 0
     caveats: tuple[str, ...] = ()
-    lowest_gsf: EvaluationRecord | None = None
+    lowest_score: EvaluationRecord | None = None
     best_note: str = ""
     posterior: Posterior | None = None
 

@@ -118,7 +118,7 @@ class BestSoFar:
             self._lowest[level] = record()
 
     @property
-    def lowest_gsf(self) -> EvaluationRecord | None:
+    def lowest_score(self) -> EvaluationRecord | None:
         """Return the candidate with the lowest score if it is not the best one, else None."""
         if self.record is None:
             return None
@@ -128,7 +128,7 @@ class BestSoFar:
     @property
     def note(self) -> str:
         """Return the reason why the best candidate does not have the lowest score; else empty."""
-        best, lowest = self.record, self.lowest_gsf
+        best, lowest = self.record, self.lowest_score
         if best is None or lowest is None or best.fit is None:
             return ""
         other = (

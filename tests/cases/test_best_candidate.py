@@ -146,8 +146,8 @@ def test_best_is_independent_of_the_order_of_arrival() -> None:
         for record in order:
             best.add(record)
         assert best.record is not None
-        assert best.lowest_gsf is not None
-        found.append((best.record.candidate, best.lowest_gsf.candidate))
+        assert best.lowest_score is not None
+        found.append((best.record.candidate, best.lowest_score.candidate))
     assert found == [(1, 0), (1, 0)]
 
 
@@ -168,7 +168,7 @@ def test_results_and_json_agree(folder: Path, expected: EvaluationRecord) -> Non
     assert candidate_results(folder, None).candidate == expected.candidate
     record = study_json(results)
     assert record["best"]["candidate"] == expected.candidate
-    assert record["lowest_gsf"]["candidate"] != expected.candidate
+    assert record["lowest_score"]["candidate"] != expected.candidate
     assert record["best_note"].startswith(f"Candidate {expected.candidate} is best because")
     last = [g for g in record["generations"] if expected.candidate == g.get("best_candidate")]
     assert len(last) == 1  # its own generation also names it

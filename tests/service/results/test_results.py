@@ -166,7 +166,7 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "store": None,
     "folder": None,
     "config": ["name", "case", "target", "score", "search", "seed", "keep"],
-    "lowest_gsf": None,
+    "lowest_score": None,
     "best_note": None,
 }
 ESTIMATE_KEYS = ["gene", "estimate", "target", "relative_error", "unit", "bounds"]

@@ -117,11 +117,15 @@ class TestNamesInFiles:
     @pytest.mark.parametrize(
         ("file", "text", "said"),
         [
-            ("a.txt", "fat = 1\n", "line 1: found 'fat = 1', expected a label of ITK-SNAP"),
+            (
+                "a.txt",
+                "fat = 1\n",
+                "line 1: found 'fat = 1', expected a label in the format of ITK-SNAP",
+            ),
             ("a.txt", CTBL + "1 Fat 0 0 0 0\n", "line 7: label 1 is named twice"),
-            ("a.json", '{"fat": "gland"}', "names labels by 'fat'"),
+            ("a.json", '{"fat": "gland"}', "has the entry 'fat'"),
             ("a.json", "{", "not valid JSON"),
-            ("a.ctbl", "# nothing\n", "names no label"),
+            ("a.ctbl", "# nothing\n", "contains no label names"),
         ],
     )
     def test_refuses_invalid_label_files(

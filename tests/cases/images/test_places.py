@@ -65,7 +65,10 @@ class TestNrrd:
 
     def test_refuses_spacings_that_contradict_directions(self, tmp_path: Path) -> None:
         path = write_nrrd(tmp_path / "a.nrrd", breast(), spacings=np.array([2.0, 2.0, 1.0]))
-        with pytest.raises(InputError, match=r"2 x 2 x 2 by its space directions, 2 x 2 x 1 by"):
+        with pytest.raises(
+            InputError,
+            match=r"2 x 2 x 2 according to its space directions, but 2 x 2 x 1 according",
+        ):
             read_volume(path)
 
     def test_spacings_alone_leave_the_place_unknown(self, tmp_path: Path) -> None:
@@ -123,11 +126,11 @@ class TestNifti:
             (affine(2.0, 2.0, 2.01), r"2 x 2 x 2\.01 mm according to its sform"),
             (
                 affine(-2.0, 2.0, 2.0),
-                "L A S according to its sform, to R A S according to its qform",
+                "L A S according to its sform, but towards R A S according to its qform",
             ),
             (
                 affine(-2.0, -2.0, 2.0),
-                "L P S according to its sform, to R A S according to its qform",
+                "L P S according to its sform, but towards R A S according to its qform",
             ),
         ],
     )
@@ -308,7 +311,7 @@ class TestAnatomicalAxes:
 
     def test_refuses_axis_letters_for_a_file_without_orientation(self, tmp_path: Path) -> None:
         np.save(tmp_path / "a.npy", breast())
-        with pytest.raises(InputError, match=r"anatomical, but .*a\.npy does not state"):
+        with pytest.raises(InputError, match=r"anatomical, but .*a\.npy does not define"):
             read_volume(tmp_path / "a.npy", spacing_mm=(2.0, 2.0, 2.0), axes="L S A")
 
 

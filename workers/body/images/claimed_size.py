@@ -20,7 +20,7 @@ _CGROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_
 
 
 def claimed_bytes(shape: Iterable[int], bytes_each: float, what: str) -> int:
-    """Return the size of an array that a header describes.
+    """Return the size of the array described by a header.
 
     Parameters
     ----------
@@ -42,15 +42,15 @@ def claimed_bytes(shape: Iterable[int], bytes_each: float, what: str) -> int:
     """
     sizes = [int(size) for size in shape]
     if not sizes or min(sizes) < 1:
-        raise InputError(f"{what} states the sizes {sizes[:8]}, expected numbers of voxels >= 1.")
+        raise InputError(f"{what} gives the sizes {sizes[:8]}, expected numbers of voxels >= 1.")
     size = prod(sizes) * round(8 * bytes_each) // 8
     most = min(LARGEST_BYTES, memory_bytes() // COPIES)
     if size > most:
         listed = " x ".join(str(n)[:24] for n in sizes[:8])
         raise InputError(
-            f"{what} states {listed} voxels, which need {_mib(size)} MiB; images of up to "
-            f"{_mib(most)} MiB are supported. Check its header; crop the image or resample it, "
-            "and save labels as 8-bit numbers."
+            f"{what} has, according to its header, {listed} voxels, which need {_mib(size)} MiB; "
+            f"images of up to {_mib(most)} MiB are supported. Check its header; crop the image or "
+            "resample it, and save labels as 8-bit numbers."
         )
     return size
 
@@ -71,8 +71,8 @@ def check_stored(size: int, held: int, ratio: float, what: str) -> None:
     """
     if size > ratio * held + (SLACK_BYTES if ratio > 1 else 0):
         raise InputError(
-            f"{what} is cut short, or its header is wrong: it states {_amount(size)} of voxels, "
-            f"and the file holds {_amount(held)}. Copy or export it again."
+            f"{what} is cut short, or its header is wrong: the header describes {_amount(size)} "
+            f"of voxels, but the file holds {_amount(held)}. Copy or export it again."
         )
 
 

@@ -7,9 +7,9 @@ from palpate.workers.body.images.labels import resample_labels
 
 
 def in_coarser_voxels(volume: Volume, spacing_mm: float) -> Volume:
-    """Return a volume on a lattice of this spacing over the same box, by nearest voxels.
+    """Resample a volume over the same box at a coarser spacing, by nearest neighbour.
 
-    The volume itself is returned if its voxels are (almost) as large.
+    A volume whose voxels are already (almost) that large is returned unchanged.
     """
     if max(volume.spacing_mm) > spacing_mm * (1 - 1e-6):
         return volume

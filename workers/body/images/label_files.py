@@ -1,4 +1,4 @@
-"""Files with names of the labels of an image.
+"""Files that name the labels of an image.
 
 ======================  ===========================================================
 ``.txt`` ``.label``     ITK-SNAP: ``IDX R G B A VIS MESH "NAME"``
@@ -49,7 +49,8 @@ def _of_lines(text: str, path: Path) -> dict[int, str]:
         match = _ITK_SNAP.fullmatch(line) or _SLICER.fullmatch(line)
         if match is None:
             raise InputError(
-                f"{path}, line {number}: found {line[:60]!r}, expected a label of ITK-SNAP, such "
+                f"{path}, line {number}: found {line[:60]!r}, expected a label in the format of "
+                "ITK-SNAP, such "
                 'as 1 255 0 0 1 1 1 "Fat", or of 3D Slicer, such as 1 Fat 255 0 0 255.'
             )
         label, name = int(match[1]), match[2]
@@ -71,7 +72,7 @@ def _of_json(text: str, path: Path) -> dict[int, str]:
         label, name = (value, key) if by_name else (key, value)
         if not (isinstance(name, str) and re.fullmatch(r"-?\d+", str(label))):
             raise InputError(
-                f'{path} names labels by {key!r}: {value!r}, expected an entry such as "fat": 1 or '
+                f'{path} has the entry {key!r}: {value!r}, expected an entry such as "fat": 1 or '
                 '"1": "fat".'
             )
         if int(label) in names:
@@ -83,7 +84,8 @@ def _of_json(text: str, path: Path) -> dict[int, str]:
 def _some(names: dict[int, str], path: Path) -> dict[int, str]:
     if not names:
         raise InputError(
-            f"{path} names no label. Give a label description file of ITK-SNAP, a .ctbl of 3D "
+            f"{path} contains no label names. Give a label description file of ITK-SNAP, a .ctbl "
+            "of 3D "
             'Slicer or a .json such as {"fat": 1}.'
         )
     return names

@@ -11,7 +11,7 @@ FORMS = "a mapping such as {0: air, 1: fat} or {Adipose: fat}, or a file that na
 
 
 def label_map(given: Any) -> Any:
-    """Return a map from numbers or names of labels to names of tissues; a path is unchanged.
+    """Return a map from label numbers or names to tissue names; a path is returned unchanged.
 
     Numbers may be strings, as keys are in JSON.
 

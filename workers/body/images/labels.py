@@ -12,11 +12,11 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
 
 _TABLE = 1 << 16
-"""Widest range of labels that is counted and renamed with a table."""
+"""Widest range of labels that is counted and mapped with a lookup table."""
 
 
 def label_counts(volume: Volume) -> dict[int, int]:
-    """Count the voxels of each label, in ascending order."""
+    """Count the voxels of each label, in ascending order of labels."""
     counts: dict[int, int] = {}
     for part in volume.values:  # by slices: an index table of the whole would not fit in memory
         low, high = int(part.min()), int(part.max())
@@ -58,14 +58,14 @@ def relabel(volume: Volume, label_map: Mapping[int, Tissue | str]) -> Volume:
     missing = sorted(wanted.keys() - counts.keys())
     if missing:
         raise InputError(
-            f"Label missing in the volume: {_joined(missing)}. It has {_listed(counts)}. "
+            f"Label missing from the volume: {_joined(missing)}. It has {_listed(counts)}. "
             f"Take it out of the map: labels: {_written(_suggestion(counts, wanted))}"
         )
     unnamed = {label: count for label, count in counts.items() if label not in wanted}
     if unnamed:
         raise InputError(
             f"The volume has labels that the map does not name: {_listed(unnamed)}. "
-            f"Name every one: labels: {_written(_suggestion(counts, wanted))}"
+            f"Name all of them: labels: {_written(_suggestion(counts, wanted))}"
         )
     return _renamed(volume, wanted)
 
@@ -97,7 +97,7 @@ def _renamed(volume: Volume, wanted: Mapping[int, Tissue]) -> Volume:
 
 
 def tissue_named(name: Tissue | str | int) -> Tissue:
-    """Return the tissue with this name, in any case, or number.
+    """Return the tissue with this name (in any case) or number.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def default_map(volume: Volume) -> dict[int, Tissue]:
     strange = {label: count for label, count in counts.items() if _known_tissue(label) is None}
     if strange:
         raise InputError(
-            f"The volume has labels that are not numbers of tissues: {_listed(strange)}. "
+            f"The volume has labels that are not tissue numbers: {_listed(strange)}. "
             f"Name the tissue of each: labels: {_written(_suggestion(counts, {}))}"
         )
     return {label: Tissue(label) for label in counts}
@@ -145,7 +145,7 @@ class Box(TypedDict):
 
 
 class LabelShare(TypedDict):
-    """Amount of a volume with a label, and its tissue if known."""
+    """Voxels and volume of a label, and its tissue if known."""
 
     tissue: NotRequired[str]
     voxels: int
@@ -270,7 +270,7 @@ def resample_labels(volume: Volume, like: Volume) -> Volume:
 
 
 def _extent(values: NDArray[Any]) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
-    """Return the first, and one past the last, index of voxels that are not 0, as (x, y, z)."""
+    """Return the first index of the voxels that are not 0, and one past the last, as (x, y, z)."""
     mask = np.zeros(values.shape[1:], dtype=bool)
     along_z = np.zeros(len(values), dtype=bool)
     for z, part in enumerate(values):
@@ -292,7 +292,7 @@ def _faces(volume: Volume, lower: NDArray[np.intp], upper: NDArray[np.intp]) -> 
 
 
 _LISTED = 12
-"""Number of labels listed in a message; the rest is only counted."""
+"""Number of labels listed in a message; the rest are only counted."""
 
 
 def _suggestion(counts: Iterable[int], wanted: Mapping[int, Tissue]) -> Iterator[tuple[int, str]]:

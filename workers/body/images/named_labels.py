@@ -18,7 +18,7 @@ from palpate.workers.body.images.read import LabelImage, read_labels
 from palpate.workers.body.images.tissue_names import tissue_in
 
 LabelMap = Mapping[int | str, Tissue | str]
-"""Tissues by the number or the name of a label."""
+"""Tissues by label number or label name."""
 NEEDED = (Tissue.FAT, Tissue.GLANDULAR)
 """Tissues that an image with named labels must have."""
 
@@ -71,7 +71,7 @@ def read_tissues(
 def label_tissues(image: LabelImage, stated: LabelMap | str | None) -> dict[int, Tissue]:
     """Return the tissue of every label in an image.
 
-    Numbers alone are never interpreted as those of `Tissue` if the file has names.
+    Label numbers are never taken as numbers of `Tissue` if the file has names.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def label_tissues(image: LabelImage, stated: LabelMap | str | None) -> dict[int,
     Raises
     ------
     InputError
-        If the names of the image and the stated numbers disagree, a name is unknown, a
+        If the names in the image and the given numbers disagree, a name is unknown, a
         label has no tissue, or a needed tissue is missing.
     """
     names = dict(image.names)
@@ -108,7 +108,7 @@ def label_tissues(image: LabelImage, stated: LabelMap | str | None) -> dict[int,
 
 
 def names_listed(names: Mapping[int, str]) -> str:
-    """List names of labels for a message."""
+    """List label names for a message."""
     return ", ".join(f"{label} {name!r}" for label, name in sorted(names.items()))
 
 
@@ -119,13 +119,13 @@ def _named_by_file(image: LabelImage, path: Path) -> dict[int, str]:
         if other != tissue_in(name):
             raise InputError(
                 f"{image.where} names its label {label} {name!r}, but {path} names it "
-                f"{names[label]!r}. Leave the file out, or correct it."
+                f"{names[label]!r}. Omit the file, or correct it."
             )
     return names
 
 
 def _by_number(image: LabelImage, stated: LabelMap | None) -> dict[int, Tissue]:
-    """Return the tissues of an image without names."""
+    """Return the tissues of an image without label names."""
     if stated is None:
         return default_map(image.volume)
     words = [key for key in stated if isinstance(key, str)]
@@ -139,7 +139,7 @@ def _by_number(image: LabelImage, stated: LabelMap | None) -> dict[int, Tissue]:
 
 
 def _by_user(image: LabelImage, names: Mapping[int, str], stated: LabelMap) -> dict[int, Tissue]:
-    """Return the stated tissues by number."""
+    """Return the tissues given by the user, by label number."""
     tissues: dict[int, Tissue] = {}
     for key, value in stated.items():
         tissue = tissue_named(value)
@@ -174,8 +174,8 @@ def _refuse_other_name(
     if named is not None and named != tissue:
         raise InputError(
             f"Label {label} is given as {tissue.name.lower()}, but {image.where} names it "
-            f"{names.get(label, 'background')!r}. Its labels are {names_listed(names)}. Leave "
-            "the numbers out, or state tissues by name, such as labels: "
+            f"{names.get(label, 'background')!r}. Its labels are {names_listed(names)}. Leave out "
+            "the numbers, or give tissues by name, such as labels: "
             f"{{{names.get(label, 'background')}: {tissue.name.lower()}}}."
         )
 
@@ -207,7 +207,7 @@ def _refuse_unknown(
         f"{_key(names.get(k, k))}: {'?' if t is None else t.name.lower()}" for k, t in known.items()
     ]
     raise InputError(
-        f"{image.where}: no tissue is known for {listed}. State it: labels: "
+        f"{image.where}: no tissue is known for {listed}. Complete the map: labels: "
         f"{{{', '.join(lines)}}}, with air, fat, glandular, skin, muscle or ligament for each ?."
     )
 
@@ -238,5 +238,5 @@ def _refuse_missing(
             )
             raise InputError(
                 f"{image.where} has no {tissue.name.lower()} voxel: {why}. Segment that tissue, "
-                f"or state which label it is, such as labels: {{NAME: {tissue.name.lower()}}}."
+                f"or give its label, such as labels: {{NAME: {tissue.name.lower()}}}."
             )

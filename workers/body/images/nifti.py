@@ -67,7 +67,7 @@ def _check_size(path: Path, header: Any) -> None:
     offset = int(header["vox_offset"])
     if not 0 <= offset <= HEADER_BYTES:
         raise InputError(
-            f"{path} states that its voxels begin at byte {offset}, expected at most "
+            f"{path} has a header with the voxels at byte {offset}, expected at most "
             f"{HEADER_BYTES}. Its header is damaged; export it again."
         )
     shape, dtype = header.get_data_shape(), header.get_data_dtype()

@@ -2,7 +2,7 @@
 
 A file can give its geometry three times: ``sform`` (an affine), ``qform`` (a rotation)
 and ``pixdim`` (only spacings, which the qform uses). Their spacings must agree, and
-sform and qform must not mirror or exchange axes. Forms with the same code are in the same
+sform and qform must agree in the direction of each axis. Forms with the same code are in the same
 space, where they must give every voxel the same position; forms with different codes,
 such as scanner and template, may differ by a motion.
 """
@@ -42,7 +42,7 @@ def check_forms(header: Any, pixdim_mm: FloatArray, unit_mm: float, what: str) -
     if np.any(np.abs(steps - pixdim_mm)[known] > SPACING_TOLERANCE * pixdim_mm[known]):
         other = "qform and pixdim" if header["qform_code"] else "pixdim"
         raise InputError(
-            f"{what} is inconsistent: voxels measure {_mm(steps)} mm according to its sform, "
+            f"{what} is inconsistent: voxels measure {_mm(steps)} mm according to its sform, but "
             f"{_mm(pixdim_mm)} mm according to its {other}. Save it again with one geometry "
             "(nibabel: image.set_qform(affine) and image.set_sform(affine))."
         )
@@ -56,8 +56,8 @@ def _compare(sform: FloatArray, qform: FloatArray, header: Any, what: str) -> No
     cosines = np.sum(_unit(sform) * _unit(qform), axis=0)
     if cosines.min() < np.sqrt(0.5):
         raise InputError(
-            f"{what} is inconsistent: its voxel axes run to {_letters(sform)} according to its "
-            f"sform, to {_letters(qform)} according to its qform. {advice}"
+            f"{what} is inconsistent: its voxel axes run towards {_letters(sform)} according to "
+            f"its sform, but towards {_letters(qform)} according to its qform. {advice}"
         )
     if header["sform_code"] != header["qform_code"]:
         return

@@ -98,8 +98,9 @@ def _refuse_other_spacings(steps: FloatArray, spacings: Any, spatial: list[int],
     both = np.isfinite(stated) & np.isfinite(length)
     if np.any(np.abs(stated - length)[both] > SPACING_TOLERANCE * length[both]):
         raise InputError(
-            f"{what} is inconsistent: voxels measure {_listed(length)} by its space directions, "
-            f"{_listed(stated)} by its spacings. Save it again with space directions alone."
+            f"{what} is inconsistent: voxels measure {_listed(length)} according to its space "
+            f"directions, but {_listed(stated)} according to its spacings. "
+            "Save it again with space directions alone."
         )
 
 
@@ -167,7 +168,7 @@ def _spatial_axes(
     if len(spatial) != 3 or any(size != 1 for size in others):
         raise InputError(
             f"{what} has {len(spatial)} axes in space, shape {shape}; a volume has 3, and one "
-            "value in each voxel. Save one channel and one time point of it."
+            "value per voxel. Save one channel and one time point of it."
         )
     return spatial
 

@@ -1,4 +1,4 @@
-"""Reading of an NRRD file: its header line by line, then the voxels, and no more.
+"""Reader of NRRD files: the header line by line, then the voxels, and nothing else.
 
 The known fields are listed here (http://teem.sourceforge.net/nrrd/format.html); pynrrd only
 parses their values. The voxels are in the file itself. A separate header, with the suffix
@@ -94,7 +94,7 @@ def check_attached(path: Path, what: str) -> None:
 
 def _refuse_other_file(what: str, name: str) -> NoReturn:
     raise InputError(
-        f"{what} keeps its data in another file, {name[:80]!r}. Save both as one file. (On your "
+        f"{what} stores its data in another file, {name[:80]!r}. Save both as one file. (On your "
         f"own machine, a header with the suffix {HEADER_SUFFIX} may have a separate data file.)"
     )
 
@@ -120,7 +120,7 @@ def _header(path: Path, file: BinaryIO) -> dict[str, Any]:
         if not mark or name is None or (found is keys and _field(key) is not None):
             _refuse_line(path, number, text)
         if name in found:
-            raise InputError(f"{path}, line {number}: {name!r} is stated twice. Keep one line.")
+            raise InputError(f"{path}, line {number}: {name!r} is given twice. Keep one line.")
         found[name] = value.removeprefix("=").strip()
     lines = [magic.decode(), *(f"{name}: {value}" for name, value in fields.items())]
     return keys | nrrd.read_header(lines)
@@ -179,7 +179,7 @@ def _dtype(path: Path, header: dict[str, Any]) -> np.dtype[Any]:
     if code.endswith("1") or text:
         return np.dtype(code)
     if header.get("endian") not in ("big", "little"):
-        raise InputError(f"{path} does not state whether it is big or little endian.")
+        raise InputError(f"{path} does not specify whether it is big or little endian.")
     return np.dtype(("<" if header["endian"] == "little" else ">") + code)
 
 

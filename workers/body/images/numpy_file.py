@@ -1,6 +1,6 @@
 """NumPy arrays, indexed ``[z, y, x]`` like every volume here.
 
-They have no spacing and no frame: spacing must be given, the first voxel is
+They have no spacing and no frame: spacing must be given, and the first voxel is
 at (0, 0, 0).
 """
 

@@ -60,7 +60,7 @@ def to_volume(
 
     if is_anatomical(axes) and not scan.anatomical:
         raise InputError(
-            f"axes {axes} are anatomical, but {what} does not state where left, posterior and "
+            f"axes {axes} are anatomical, but {what} does not define where left, posterior and "
             "superior are. Name the axes of the file instead, such as -z,y,x."
         )
     turn = parse_axes(axes)
@@ -114,11 +114,11 @@ def nearest_axes(directions: FloatArray, what: str) -> tuple[AxisOrder, FloatArr
         angles = ", ".join(f"{d:.1f}" for d in degrees)
         raise InputError(
             f"{what} is oblique: its voxel axes are {angles} degrees off the nearest world axes, "
-            f"at most {OBLIQUE_DEG:g} is allowed. Resample it first on an upright grid, with "
-            "nearest neighbour (3D Slicer: Resample Scalar/Vector/DWI Volume)."
+            f"and at most {OBLIQUE_DEG:g} are allowed. Resample it first onto an upright grid, "
+            "with nearest neighbour (3D Slicer: Resample Scalar/Vector/DWI Volume)."
         )
     if len(set(world.tolist())) < 3:
-        raise InputError(f"{what} has two voxel axes that run the same way; its header is wrong.")
+        raise InputError(f"{what} has two voxel axes in the same direction; its header is wrong.")
     order = np.argsort(world)
     return order, np.sign(cosine[order])
 
@@ -200,7 +200,7 @@ def parse_axes(axes: str | None) -> FloatArray:
     if np.linalg.det(turn) < 0:
         raise InputError(
             f"axes {_as_given(names, axes)} would mirror the body (a left breast would become a "
-            f"right one). Exchange two directions, for example "
+            f"right one). Swap two directions, for example "
             f"{_as_given([names[1], names[0], names[2]], axes)}, or reverse one, for example "
             f"{_as_given(_unmirrored(names), axes)}; the second is the direction of compression."
         )

@@ -116,14 +116,14 @@ def _reader(path: Path) -> tuple[str, Reader]:
         return _folder_reader(path)
     if not path.exists():
         raise InputError(
-            f"{path} does not exist. Check the path; it is looked up from {Path.cwd()}."
+            f"{path} does not exist. Check the path; relative paths start at {Path.cwd()}."
         )
     name = path.name.lower()
     for suffix in sorted(_READERS, key=len, reverse=True):
         if name.endswith(suffix):
             return _READERS[suffix]
     raise InputError(
-        f"{path} is of an unsupported kind (suffix {path.suffix or 'none'!r}). Supported: "
+        f"{path} is in an unsupported format (suffix {path.suffix or 'none'!r}). Supported: "
         f"{', '.join(_READERS)}, or a folder of DICOM or TIFF slices."
     )
 

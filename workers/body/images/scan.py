@@ -32,7 +32,7 @@ class Scan:
     values : ndarray, shape (ni, nj, nk)
         Values by index axis, in any memory order.
     spacing_mm : ndarray, shape (3,)
-        Distance of voxel centres along each index axis; NaN if it is missing in the file
+        Distance between voxel centres along each index axis; NaN if it is missing in the file
         or not a valid distance.
     directions : ndarray, shape (3, 3)
         Columns are the unit vectors of the index axes in LPS.
@@ -60,7 +60,7 @@ class Scan:
 
     @classmethod
     def without_frame(cls, values: NDArray[Any], spacing_mm: ArrayLike | None = None) -> "Scan":
-        """Make a scan of unknown position: axes are x, y, z, the first voxel is at (0, 0, 0)."""
+        """Make a scan of unknown position, with axes x, y, z and the first voxel at (0, 0, 0)."""
         spacing = np.full(3, np.nan) if spacing_mm is None else np.array(spacing_mm, dtype=float)
         return cls(
             values,
@@ -135,8 +135,8 @@ def check_shape(values: NDArray[Any], what: str) -> None:
     """Raise InputError unless `values` has three axes of two voxels or more."""
     if values.ndim != 3 or min(values.shape) < 2:
         raise InputError(
-            f"{what} is not a 3-D image: its shape is {values.shape}, and three axes of at "
-            "least 2 voxels are needed. Give the whole stack (a multi-page file, or the "
+            f"{what} is not a 3-D image: its shape is {values.shape}, but three axes of at least "
+            "2 voxels are needed. Give the whole stack (a multi-page file, or the "
             "folder with its slices)."
         )
 
@@ -169,7 +169,7 @@ def whole_numbers(values: NDArray[Any], what: str) -> NDArray[Any]:
 
 
 def _refuse_fractions(part: NDArray[Any], what: str) -> None:
-    """Raise InputError where a value is not finite, or not a whole number."""
+    """Raise InputError if a value is not finite, or not a whole number."""
     finite = np.isfinite(part)
     if finite.all():
         odd = part[np.abs(part - np.rint(part)) > LABEL_TOLERANCE]
@@ -184,7 +184,8 @@ def _refuse_fractions(part: NDArray[Any], what: str) -> None:
         else "Segment the image first; resample label maps with nearest neighbour."
     )
     raise InputError(
-        f"{what} is not a label map: it contains {example}, and labels are whole numbers. {advice}"
+        f"{what} is not a label map: it contains {example}, but labels must be whole numbers. "
+        f"{advice}"
     )
 
 

@@ -19,7 +19,7 @@ _EVEN = 0.05
 
 @dataclass(frozen=True)
 class _Row:
-    """One of the numbers in the names, for all files.
+    """The values of one number in the file names, over all files.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def _rows(paths: Sequence[Path], what: str) -> list[_Row]:
 
 
 def _apart(numbers: Sequence[str]) -> list[str]:
-    """Return numbers; those with several points, such as dates and UIDs, are split into parts."""
+    """Split numbers that have several points, such as dates and UIDs, into parts."""
     found: list[str] = []
     for number in numbers:
         parts = re.split("[.,]", number)

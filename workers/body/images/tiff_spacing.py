@@ -49,7 +49,7 @@ def _of_imagej(tiff: TiffFile, facts: dict[str, Any]) -> FloatArray:
 
 
 def _pixel(tag: Any) -> float:
-    """Return the size of a pixel from a tag with pixels per unit, as a fraction."""
+    """Return the size of a pixel from a tag that gives pixels per unit as a fraction."""
     if tag is None or not tag.value[0]:
         return np.nan
     return float(tag.value[1]) / float(tag.value[0])

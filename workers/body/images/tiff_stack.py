@@ -63,7 +63,7 @@ def slices_of(folder: Path) -> list[Path]:
 
 
 def slices_read(path: Path) -> list[str] | None:
-    """Return the names of the first and the last slice of a folder of TIFF slices, or None."""
+    """Return the names of the first and last TIFF slice in a folder; None if it has none."""
     if not path.is_dir() or not any(_is_slice(file) for file in path.iterdir()):
         return None
     paths = slices_of(path)
@@ -119,7 +119,7 @@ def _check_ome(path: Path, tiff: tifffile.TiffFile) -> None:
             )
     for name, number in _OME_NUMBER.findall(text):
         if len(number) > 7:
-            raise InputError(f"{path} states {name} = {number[:20]} in its OME metadata: too many.")
+            raise InputError(f"{path} has {name} = {number[:20]} in its OME metadata: too many.")
 
 
 def _check_segments(path: Path, series: tifffile.TiffPageSeries) -> None:
@@ -169,7 +169,7 @@ def _is_slice(path: Path) -> bool:
 
 @contextmanager
 def _damage_raises(path: Path) -> Iterator[None]:
-    """Raise one error for all damage; tifffile only logs that a file lost its last pages."""
+    """Raise one error for any damage; tifffile only logs missing last pages."""
     said: list[str] = []
     cause: Exception | None = None
 

@@ -57,7 +57,7 @@ class Hierarchy:
     levels : tuple of MeshLevel
         Coarse to fine.
     element_size_mm : float
-        Size of a lattice cell of the finest level; edges are 0.87 to 1 of it; NaN for
+        Size of a lattice cell of the finest level; edges are 0.87 to 1 times as long; NaN for
         meshes without a lattice.
     """
 
@@ -86,7 +86,7 @@ def build_hierarchy(
     element_size_mm : float, optional
         Size of a lattice cell of the finest mesh.
     nodes : int, optional
-        Wanted number of nodes of the finest mesh, met within 10 %. Exactly one of
+        Target number of nodes of the finest mesh, met within 10 %. Exactly one of
         ``element_size_mm`` and ``nodes`` is given.
 
     Raises
@@ -147,7 +147,7 @@ def _levels(fitted: list[FittedMesh], labels: Volume) -> tuple[MeshLevel, ...]:
 
 
 def _mesh_of_nodes(labels: Volume, nodes: int) -> tuple[FittedMesh, Outline, float]:
-    """Generate a mesh with about the wanted number of nodes.
+    """Generate a mesh with about the target number of nodes.
 
     A lattice has 2 / a^3 nodes per volume and the outline adds some per area, so
     ``n(a) = 2 V / a^3 + s / a^2``; ``s`` is estimated from each trial, first from a coarser one.
@@ -177,7 +177,7 @@ def _mesh_of_nodes(labels: Volume, nodes: int) -> tuple[FittedMesh, Outline, flo
 
 
 def _rough_step(labels: Volume) -> float:
-    """Return a step that gives some 40 samples along the volume's longest side."""
+    """Return a step that gives about 40 samples along the volume's longest side."""
     sides = np.asarray(labels.shape_xyz) * labels.spacing_mm
     return float(sides.max() / 40)
 

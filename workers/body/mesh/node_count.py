@@ -15,12 +15,12 @@ CERTAIN_SHARE, ENOUGH_SHARE = 1.4, 1.85
 
 
 def check_node_count(nodes: int, volume_mm3: float, smallest_extent_mm: float) -> None:
-    """Refuse, without meshing, a number of nodes that the mesher would refuse.
+    """Raise InputError, without meshing, if a mesh of so few nodes is too coarse for a body.
 
     Parameters
     ----------
     nodes : int
-        Wanted number.
+        Target number.
     volume_mm3, smallest_extent_mm : float
         Volume of the body, and its shortest side.
 
@@ -41,7 +41,7 @@ def check_node_count(nodes: int, volume_mm3: float, smallest_extent_mm: float) -
 
 
 def check_node_count_of(nodes: int, labels: Volume) -> None:
-    """Refuse a number of nodes that is too small for a labelled body.
+    """Raise InputError if a mesh of so few nodes is too coarse for a labelled body.
 
     Raises
     ------

@@ -9,7 +9,7 @@ from palpate.storage.values import TetMesh
 def in_memory_order(mesh: TetMesh, step_mm: float) -> TetMesh:
     """Reorder a mesh so that spatial neighbours are close in memory.
 
-    Nodes follow a Morton curve of cubes of ``step_mm``, tetrahedra their smallest node.
+    Nodes follow a Morton curve of cubes of ``step_mm``, tetrahedra follow their smallest node.
     """
     cell = ((mesh.nodes - mesh.nodes.min(axis=0)) / step_mm).astype(np.uint64)
     code = np.zeros(len(cell), np.uint64)

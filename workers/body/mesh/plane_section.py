@@ -32,7 +32,7 @@ class PlaneSection:
 
 
 def plane_section(mesh: TetMesh, normal: int, at_mm: float) -> PlaneSection:
-    """Cut a mesh at a coordinate.
+    """Cut a mesh with a plane normal to one axis.
 
     Parameters
     ----------

@@ -31,7 +31,7 @@ def mesh_whole_body(
 
 
 def check_mesh_volume(mesh: TetMesh, labels: Volume) -> None:
-    """Refuse a mesh that does not have the volume of its labels.
+    """Raise InputError if a mesh does not have the volume of its labels.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def _check_volume(meshed_ml: float, labels: Volume) -> None:
     if abs(meshed_ml - labelled_ml) <= VOLUME_TOLERANCE * labelled_ml:
         return
     raise InputError(
-        f"The mesh has a volume of {meshed_ml:.4g} ml, its labels cover {labelled_ml:.4g} ml: "
+        f"The mesh has a volume of {meshed_ml:.4g} ml, but its labels cover {labelled_ml:.4g} ml: "
         f"{meshed_ml / labelled_ml - 1:+.1%}, expected {VOLUME_TOLERANCE:.0%} at most. Only the "
         "largest connected piece is meshed: connect the pieces of the body, or remove what does "
         "not belong to it. Parts thinner than an element are lost: use more nodes."

@@ -102,8 +102,9 @@ def generate_breast(settings: BreastPhantom, seed: int) -> Phantom:
     wanted = round(settings.glandular_fraction * interior)
     if not 0 < wanted < tissue:
         raise InputError(
-            f"A glandular fraction of {settings.glandular_fraction:g} does not fit: ligaments "
-            f"take {ligament / max(interior, 1):.0%} of the {interior:,} voxels inside the skin. "
+            f"A glandular fraction of {settings.glandular_fraction:g} cannot be reached: "
+            f"ligaments take "
+            f"{ligament / max(interior, 1):.0%} of the {interior:,} voxels inside the skin. "
             "Use thinner ligaments (ligament_mm), fewer compartments or a smaller spacing_mm."
         )
     weights = gland_weight(settings, compartments.seeds_mm)

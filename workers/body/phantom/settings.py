@@ -183,5 +183,5 @@ def _check(name: str, value: object, limit: Limit) -> None:
 
 
 def _voxels(length_mm: float, spacing_mm: float) -> int:
-    """Return the number of voxels that cover a length; 50 mm are 250 of 0.2 mm despite rounding."""
+    """Return the number of voxels that cover a length: exactly 250 of 0.2 mm for 50 mm."""
     return math.ceil(length_mm / spacing_mm - 1e-9)

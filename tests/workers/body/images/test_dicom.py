@@ -38,7 +38,7 @@ class TestSeries:
         assert volume.spacing_mm == (0.25, 0.5, 1.5)  # columns step along x, rows along y
         assert volume.origin_mm == (10.0, 20.0, -30.0)
 
-    def test_positions_rounded_in_the_file(
+    def test_accepts_positions_rounded_in_the_file(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         def rounded(index: int, image: Any) -> None:
@@ -50,7 +50,9 @@ class TestSeries:
         np.testing.assert_array_equal(volume.values, many)
         assert volume.spacing_mm[2] == pytest.approx(0.273, abs=1e-4)
 
-    def test_rescale(self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any) -> None:
+    def test_applies_rescale_slope_and_intercept(
+        self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
+    ) -> None:
         def shifted(_: int, image: Any) -> None:
             image.RescaleSlope, image.RescaleIntercept = 2, -1024
 
@@ -58,7 +60,7 @@ class TestSeries:
         expected = 2 * slices.astype(int) - 1024
         np.testing.assert_array_equal(read_volume(tmp_path).values, expected)
 
-    def test_missing_slice(
+    def test_refuses_missing_slice(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         paths = write_series(tmp_path, slices, step=(0, 0, 1.5))
@@ -66,7 +68,7 @@ class TestSeries:
         with pytest.raises(InputError, match=r"slices 3 and 4 .* 3 mm apart, expected 1\.5 mm"):
             read_volume(tmp_path)
 
-    def test_uneven_gaps(
+    def test_refuses_uneven_gaps(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         def stretched(index: int, image: Any) -> None:
@@ -76,7 +78,7 @@ class TestSeries:
         with pytest.raises(InputError, match=r"slices 5 and 6 .* 1\.3 mm apart, expected 1 mm"):
             read_volume(tmp_path)
 
-    def test_one_slice_out_of_place(
+    def test_refuses_slice_out_of_place(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         def moved(index: int, image: Any) -> None:
@@ -86,7 +88,7 @@ class TestSeries:
         with pytest.raises(InputError, match=r"uneven gaps.*expected 1 mm"):
             read_volume(tmp_path)
 
-    def test_slices_off_the_line(
+    def test_refuses_slices_off_the_line(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         def shifted(index: int, image: Any) -> None:
@@ -96,7 +98,7 @@ class TestSeries:
         with pytest.raises(InputError, match=r"not on one line \(2 mm off\)"):
             read_volume(tmp_path)
 
-    def test_two_time_points(
+    def test_refuses_two_time_points(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         def twice(index: int, image: Any) -> None:
@@ -106,7 +108,7 @@ class TestSeries:
         with pytest.raises(InputError, match="several slices at one position"):
             read_volume(tmp_path)
 
-    def test_two_series(
+    def test_refuses_two_series(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         other = generate_uid()
@@ -120,14 +122,14 @@ class TestSeries:
             read_volume(tmp_path)
 
     @pytest.mark.parametrize("name", ["ImagePositionPatient", "ImageOrientationPatient"])
-    def test_missing_geometry(
+    def test_refuses_missing_geometry(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any, name: str
     ) -> None:
         write_series(tmp_path, slices, change=lambda _, image: image.__delattr__(name))
         with pytest.raises(InputError, match=r"no ImagePosition|image orientation \[\]"):
             read_volume(tmp_path)
 
-    def test_one_rotated_slice(
+    def test_refuses_one_rotated_slice(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         def turned(index: int, image: Any) -> None:
@@ -138,7 +140,7 @@ class TestSeries:
         with pytest.raises(InputError, match=r"differs from .* in orientation"):
             read_volume(tmp_path)
 
-    def test_slices_of_two_spacings(
+    def test_refuses_slices_with_two_spacings(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         def coarser(index: int, image: Any) -> None:
@@ -149,7 +151,7 @@ class TestSeries:
         with pytest.raises(InputError, match="different PixelSpacing"):
             read_volume(tmp_path)
 
-    def test_single_slice(
+    def test_refuses_single_slice(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         paths = write_series(tmp_path, slices)
@@ -165,7 +167,7 @@ class TestSeries:
         with pytest.raises(InputError, match=rf"{path.name}.*cut short"):
             read_volume(tmp_path)
 
-    def test_slice_that_is_not_dicom(
+    def test_names_file_that_is_not_dicom(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         path = write_series(tmp_path, slices)[6]  # an end slice: its loss would leave no gap
@@ -173,7 +175,7 @@ class TestSeries:
         with pytest.raises(InputError, match=rf"{path.name} is not a DICOM file"):
             read_volume(tmp_path)
 
-    def test_no_image_at_all(self, tmp_path: Path) -> None:
+    def test_refuses_folder_without_images(self, tmp_path: Path) -> None:
         (tmp_path / "readme.txt").write_text("nothing here")
         with pytest.raises(InputError, match="no DICOM image"):
             read_volume(tmp_path)
@@ -206,29 +208,31 @@ class TestSegmentation:
         assert volume.spacing_mm == (0.25, 0.5, 2.0)
         assert volume.origin_mm == (10.0, 20.0, 0.0)
 
-    def test_label_map(self, tmp_path: Path, write_segmentation: Any) -> None:
+    def test_reads_label_maps(self, tmp_path: Path, write_segmentation: Any) -> None:
         labels = np.random.default_rng(4).integers(0, 4, (4, 3, 5)).astype(np.uint8)
         frames = [(1, float(z), page) for z, page in enumerate(labels)]
         path = write_segmentation(tmp_path / "a.dcm", frames, kind="LABELMAP")
         np.testing.assert_array_equal(read_volume(path).values, labels)
 
-    def test_overlap(self, tmp_path: Path, frames: Any, write_segmentation: Any) -> None:
+    def test_refuses_overlapping_segments(
+        self, tmp_path: Path, frames: Any, write_segmentation: Any
+    ) -> None:
         frames.append((2, 2.0, frames[0][2]))
         with pytest.raises(InputError, match=r"overlap \(slice 2\)"):
             read_volume(write_segmentation(tmp_path / "seg.dcm", frames))
 
-    def test_contradictory_slice_distance(
+    def test_refuses_contradictory_slice_distance(
         self, tmp_path: Path, frames: Any, write_segmentation: Any
     ) -> None:
         with pytest.raises(InputError, match=r"expected 1\.5 mm"):
             read_volume(write_segmentation(tmp_path / "seg.dcm", frames, gap_mm=1.5))
 
-    def test_fractions(self, tmp_path: Path, frames: Any, write_segmentation: Any) -> None:
+    def test_refuses_fractions(self, tmp_path: Path, frames: Any, write_segmentation: Any) -> None:
         path = write_segmentation(tmp_path / "seg.dcm", frames, kind="FRACTIONAL")
         with pytest.raises(InputError, match="type FRACTIONAL; only segmentations"):
             read_volume(path)
 
-    def test_another_multi_frame_image(
+    def test_refuses_other_multi_frame_images(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         def many(_: int, image: Any) -> None:
@@ -239,7 +243,7 @@ class TestSegmentation:
         with pytest.raises(InputError, match="multi-frame DICOM file of type CT"):
             read_volume(path)
 
-    def test_mixed_with_slices(
+    def test_refuses_segmentation_mixed_with_slices(
         self,
         tmp_path: Path,
         slices: NDArray[np.uint16],

@@ -25,25 +25,25 @@ def volume(values: object, spacing: float = 1.0) -> Volume:
 
 
 class TestRelabel:
-    def test_names_tissues_and_numbers(self) -> None:
+    def test_accepts_names_tissues_and_numbers(self) -> None:
         image = volume([[[0, 7], [300, -5]]])
         out = relabel(image, {0: "air", 7: "Fat", 300: Tissue.GLANDULAR, -5: 3})  # type: ignore[dict-item]
         np.testing.assert_array_equal(out.values, [[[0, 1], [2, 3]]])
         assert out.values.dtype == np.uint8
         assert (out.spacing_mm, out.origin_mm) == (image.spacing_mm, image.origin_mm)
 
-    def test_many_to_one(self) -> None:
+    def test_maps_several_labels_to_one_tissue(self) -> None:
         out = relabel(volume([[[0, 4, 9]]]), {0: "air", 4: "fat", 9: "fat"})
         np.testing.assert_array_equal(out.values, [[[0, 1, 1]]])
 
     @pytest.mark.parametrize("far", [9, 65_535, 65_536, 10**12, -(10**12)])
-    def test_labels_far_apart(self, far: int) -> None:
+    def test_maps_labels_with_distant_numbers(self, far: int) -> None:
         values = np.random.default_rng(0).choice(np.array([0, 1, far]), (3, 4, 5))
         out = relabel(volume(values), {0: "air", 1: "skin", far: "muscle"})
         expected = np.select([values == 1, values == far], [Tissue.SKIN, Tissue.MUSCLE], 0)
         np.testing.assert_array_equal(out.values, expected)
 
-    def test_label_missing_in_the_map(self) -> None:
+    def test_refuses_label_missing_from_the_map(self) -> None:
         image = volume([[[0, 0, 1], [2, 8, 8]]])
         with pytest.raises(InputError) as caught:
             relabel(image, {0: "air", 1: "skin"})
@@ -51,11 +51,11 @@ class TestRelabel:
         assert "2 (1 voxel), 8 (2 voxels)" in message
         assert "labels: {0: air, 1: skin, 2: glandular, 8: ?}" in message
 
-    def test_label_missing_in_the_volume(self) -> None:
+    def test_refuses_label_missing_from_the_volume(self) -> None:
         with pytest.raises(InputError) as caught:
             relabel(volume([[[0, 1, 1]]]), {0: "air", 1: "fat", 5: "skin"})
         message = str(caught.value)
-        assert message.startswith("Label missing in the volume: 5.")
+        assert message.startswith("Label missing from the volume: 5.")
         assert "0 (1 voxel), 1 (2 voxels)" in message
 
     def test_long_lists_of_labels_are_shortened(self) -> None:
@@ -65,16 +65,16 @@ class TestRelabel:
     @pytest.mark.parametrize(
         ("typed", "meant"), [("glandualr", "glandular"), ("Fats", "fat"), ("mucsle", "muscle")]
     )
-    def test_did_you_mean(self, typed: str, meant: str) -> None:
+    def test_suggests_the_closest_tissue(self, typed: str, meant: str) -> None:
         with pytest.raises(InputError, match=f"Did you mean {meant}"):
             tissue_named(typed)
 
     @pytest.mark.parametrize("typed", ["bone marrow", "", 6, -1])
-    def test_unknown_tissue(self, typed: str) -> None:
+    def test_lists_the_known_tissues(self, typed: str) -> None:
         with pytest.raises(InputError, match="Known: air, fat, glandular, skin, muscle, ligament"):
             tissue_named(typed)
 
-    def test_inverted_map(self) -> None:
+    def test_refuses_inverted_map(self) -> None:
         with pytest.raises(InputError, match=r"Write \{1: fat\}, not \{fat: 1\}"):
             relabel(volume([[[1]]]), {"fat": 1})  # type: ignore[dict-item]
 
@@ -109,7 +109,7 @@ class TestSummarise:
             },
         }
 
-    def test_named_and_empty(self) -> None:
+    def test_names_tissues_and_gives_no_box_without_a_body(self) -> None:
         summary = summarise(volume([[[1, 2, 2]]]), named=True)
         assert [entry["tissue"] for entry in summary["labels"].values()] == ["fat", "glandular"]
         assert summarise(volume([[[0, 0]]]))["body_mm"] is None
@@ -167,7 +167,7 @@ class TestCrop:
         np.testing.assert_array_equal(back.values, values)
         assert box.values.max(axis=(1, 2))[0] > 0
 
-    def test_no_body_and_no_margin(self) -> None:
+    def test_refuses_empty_volume_and_negative_margin(self) -> None:
         with pytest.raises(InputError, match="all air"):
             crop_to_body(volume(np.zeros((3, 3, 3), int)))
         with pytest.raises(InputError, match="got -1"):
@@ -175,12 +175,12 @@ class TestCrop:
 
 
 class TestResample:
-    def test_onto_itself(self) -> None:
+    def test_resampling_onto_its_own_grid_changes_nothing(self) -> None:
         values = np.random.default_rng(0).integers(0, 4, (5, 6, 7)).astype(np.uint8)
         image = Volume(values, (0.273, 0.3, 0.7), (1.0, -2.0, 3.0))
         np.testing.assert_array_equal(resample_labels(image, image).values, values)
 
-    def test_refined_threefold(self) -> None:
+    def test_threefold_refinement_repeats_every_voxel(self) -> None:
         values = np.random.default_rng(0).integers(0, 4, (3, 4, 5)).astype(np.uint8)
         coarse = Volume(values, (3.0, 3.0, 3.0), (1.0, 1.0, 1.0))
         fine = Volume(np.zeros((9, 12, 15), np.uint8), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
@@ -198,7 +198,7 @@ class TestResample:
         assert computed.values.dtype == np.uint8
         assert computed.origin_mm == like.origin_mm
 
-    def test_no_overlap(self) -> None:
+    def test_volume_without_overlap_becomes_air(self) -> None:
         image = volume(np.ones((3, 3, 3), int))
         far = Volume(np.zeros((2, 2, 2)), (1.0, 1.0, 1.0), (50.0, 0.0, 0.0))
         assert not resample_labels(image, far).values.any()

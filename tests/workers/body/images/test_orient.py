@@ -42,7 +42,7 @@ def places(volume: Volume) -> Array:
 
 
 def stated_places(values: NDArray[Any], steps: Array, origin: Array) -> Array:
-    """Return the same by the definition common to every format: origin + steps @ (i, j, k)."""
+    """Return the same positions by the common definition: origin + steps @ (i, j, k)."""
     computed = np.full((values.size, 3), np.nan)
     for index, label in np.ndenumerate(values):
         computed[label] = origin + steps @ np.array(index, dtype=float)
@@ -59,7 +59,9 @@ def rotation(degrees: float, axis: int) -> Array:
 
 
 class TestWorldCoordinatesSurvive:
-    def test_nifti(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
+    def test_nifti_voxels_keep_their_positions(
+        self, tmp_path: Path, numbered: NDArray[np.uint16]
+    ) -> None:
         for turn in signed_permutations():
             affine = np.eye(4)
             affine[:3, :3], affine[:3, 3] = turn * SPACING, ORIGIN
@@ -70,7 +72,9 @@ class TestWorldCoordinatesSurvive:
             assert volume.values.flags.c_contiguous
             assert volume.values.dtype == np.uint16
 
-    def test_nifti_by_its_qform(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
+    def test_nifti_voxels_keep_the_positions_of_a_qform(
+        self, tmp_path: Path, numbered: NDArray[np.uint16]
+    ) -> None:
         for turn in signed_permutations():
             affine = np.eye(4)
             affine[:3, :3], affine[:3, 3] = turn * SPACING, ORIGIN
@@ -91,7 +95,7 @@ class TestWorldCoordinatesSurvive:
             ("scanner-xyz", np.eye(3)),
         ],
     )
-    def test_nrrd(
+    def test_nrrd_voxels_keep_their_positions(
         self, tmp_path: Path, numbered: NDArray[np.uint16], space: str, to_lps: Array
     ) -> None:
         for turn in signed_permutations():
@@ -102,7 +106,9 @@ class TestWorldCoordinatesSurvive:
             expected = stated_places(numbered, to_lps @ steps, to_lps @ ORIGIN)
             np.testing.assert_allclose(centres, expected, atol=1e-12)
 
-    def test_dicom(self, tmp_path: Path, numbered: NDArray[np.uint16], write_series: Any) -> None:
+    def test_dicom_voxels_keep_their_positions(
+        self, tmp_path: Path, numbered: NDArray[np.uint16], write_series: Any
+    ) -> None:
         # The normal is row x column, so only the 24 right-handed ways are distinguishable.
         for number, turn in enumerate(t for t in signed_permutations() if np.linalg.det(t) > 0):
             steps = turn * SPACING
@@ -235,7 +241,7 @@ class TestSpacing:
 
     @pytest.mark.parametrize("qform", [True, False])
     @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
-    def test_nifti_header_without_usable_spacing(
+    def test_nifti_header_without_usable_spacing_requires_the_option(
         self, tmp_path: Path, numbered: NDArray[np.uint16], bad: float, qform: bool
     ) -> None:
         path = tmp_path / "a.nii"
@@ -254,7 +260,7 @@ class TestSpacing:
         is_in_ras = volume.values[0, -1, -1] == numbered[0, 0, 0]
         assert is_in_ras == qform  # without a form there is no orientation to convert
 
-    def test_nifti_sform_with_a_zero_column(
+    def test_nifti_sform_with_a_zero_column_requires_the_option(
         self, tmp_path: Path, numbered: NDArray[np.uint16]
     ) -> None:
         path = tmp_path / "a.nii"
@@ -266,7 +272,7 @@ class TestSpacing:
             read_volume(path)
 
     @pytest.mark.parametrize("spacings", [None, "0 1 1", "-1 1 1", "nan 1 1"])
-    def test_nrrd_header_without_usable_spacing(
+    def test_nrrd_header_without_usable_spacing_requires_the_option(
         self, tmp_path: Path, numbered: NDArray[np.uint16], spacings: str | None
     ) -> None:
         header = {} if spacings is None else {"spacings": np.array(spacings.split(), float)}
@@ -276,7 +282,9 @@ class TestSpacing:
         volume = read_volume(tmp_path / "a.nrrd", spacing_mm=(3.0, 1.0, 1.0))
         assert volume.spacing_mm == (3.0, 1.0, 1.0)
 
-    def test_nrrd_zero_direction(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
+    def test_nrrd_zero_direction_requires_the_option(
+        self, tmp_path: Path, numbered: NDArray[np.uint16]
+    ) -> None:
         header = {
             "space": "LPS",
             "space directions": np.diag([1.0, 0.0, 1.0]),
@@ -288,7 +296,7 @@ class TestSpacing:
         volume = read_volume(tmp_path / "a.nrrd", spacing_mm=(1.0, 2.0, 1.0))
         assert volume.origin_mm == tuple(ORIGIN)
 
-    def test_dicom_without_pixel_spacing(
+    def test_dicom_without_pixel_spacing_requires_the_option(
         self, tmp_path: Path, numbered: NDArray[np.uint16], write_series: Any
     ) -> None:
         def drop(_: int, image: Any) -> None:
@@ -303,7 +311,7 @@ class TestSpacing:
             read_volume(tmp_path / "s", spacing_mm=(0.3, 0.4, 2.0))
 
     @pytest.mark.parametrize(("unit", "mm"), [("mm", 1.0), ("micron", 1e-3), ("meter", 1e3)])
-    def test_nifti_units(
+    def test_converts_nifti_units(
         self, tmp_path: Path, numbered: NDArray[np.uint16], unit: str, mm: float
     ) -> None:
         affine = np.diag([*(SPACING / mm), 1.0])
@@ -315,7 +323,7 @@ class TestSpacing:
         assert volume.spacing_mm == pytest.approx(tuple(SPACING))
         np.testing.assert_allclose(places(volume)[0], RAS @ ORIGIN, rtol=1e-6)
 
-    def test_nrrd_units(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
+    def test_converts_nrrd_units(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
         header = {
             "space": "LPS",
             "space directions": np.diag(SPACING / 10),

@@ -20,7 +20,7 @@ def read(name: str) -> Volume:
 
 
 @pytest.mark.slow
-def test_uncompressed() -> None:
+def test_uncompressed_breast_has_the_published_volumes() -> None:
     breast = read("UncompressedBreast3_resampled.nrrd")
     summary = summarise(breast, named=True)
     assert summary["shape"] == [637, 637, 360]

@@ -1,4 +1,4 @@
-"""Headers that name other files, or claim more than their file or the memory can hold."""
+"""Headers that name other files, or claim more data than the file or memory can hold."""
 
 import gzip
 import io
@@ -220,7 +220,7 @@ class TestDicom:
             read_volume(path)
         assert peak_mib() <= before
 
-    def test_deflated_file(self, tmp_path: Path, write_series: Any) -> None:
+    def test_refuses_deflated_file(self, tmp_path: Path, write_series: Any) -> None:
         values = np.ones((3, 5, 4), np.uint16)
         paths = write_series(tmp_path, values)
         for path in paths:
@@ -234,7 +234,9 @@ class TestDicom:
         ("name", "value"),
         [("Rows", 65535), ("Columns", 65535), ("BitsAllocated", 7), ("SamplesPerPixel", 60000)],
     )
-    def test_missing_pixels(self, tmp_path: Path, write_series: Any, name: str, value: int) -> None:
+    def test_refuses_missing_pixels(
+        self, tmp_path: Path, write_series: Any, name: str, value: int
+    ) -> None:
         def change(_: int, image: Any) -> None:
             setattr(image, name, value)
 

@@ -77,7 +77,7 @@ def test_surface_follows_the_outline_within_a_voxel(meshes):
     assert np.abs(away).mean() < 0.25
 
 
-def test_quality(meshes):
+def test_no_tetrahedron_is_badly_shaped(meshes):
     for level in meshes.levels:
         summary = summarise(level.mesh)
         assert summary["aspect"]["max"] < 5
@@ -109,7 +109,7 @@ def test_anisotropic_voxels_give_the_same_body(make_half_ellipsoid, breast_mm3):
     np.testing.assert_allclose(extent, (170, 100, 50), atol=3)
 
 
-def test_position_in_space(breast):
+def test_moved_volume_gives_the_same_mesh_moved(breast):
     moved = Volume(breast.values, breast.spacing_mm, (100.0, -20.0, 31.0))
     level = build_hierarchy(moved, element_size_mm=9.0).finest
     assert_sound(level, wall_z_mm=30.0)
@@ -128,7 +128,7 @@ def test_position_in_space(breast):
         ("cone", lambda x, y, z: x**2 + y**2 < (60 * (1 - z / 65)) ** 2),
     ],
 )
-def test_other_bodies(make_body, name, inside):
+def test_bodies_of_other_shapes_are_sound(make_body, name, inside):
     labels = make_body(inside, (65.0, 65.0), 66.0)
     meshes = build_hierarchy(labels, nodes=2500)
     voxels_mm3 = np.count_nonzero(labels.values) * labels.voxel_mm3
@@ -168,7 +168,7 @@ def test_largest_body_is_used_and_its_cavity_filled(make_body):
     assert level.mesh.nodes[:, 0].max() < 16
 
 
-def test_same_labels_same_mesh(breast):
+def test_same_labels_give_the_same_mesh(breast):
     first, second = (to_arrays(build_hierarchy(breast, nodes=1500)) for _ in range(2))
     assert first.keys() == second.keys()
     for name in first:

@@ -45,7 +45,7 @@ def test_each_polygon_is_in_its_tetrahedron(box: TetMesh) -> None:
     assert at.sum(axis=1).max() < 1 + 1e-9
 
 
-def test_plane_through_nodes_and_plane_outside_the_body(box: TetMesh) -> None:
+def test_handles_plane_through_nodes_and_plane_outside_the_body(box: TetMesh) -> None:
     within = box.nodes[8:, 2]
     found = plane_section(box, 2, float(within[0]))
     assert area_of(found.polygons).sum() == pytest.approx(6.0, rel=1e-6)

@@ -25,7 +25,7 @@ def test_every_measure_of_the_regular_tetrahedron_is_one():
     assert summary["volume_mm3"] == pytest.approx(8 / 3)  # a cube of 8 less four corners of 4/3
 
 
-def test_corner_of_the_cube():
+def test_measures_of_a_cube_corner_match_hand_calculation():
     # V = 1/6, areas 1/2 (three) and sqrt(3)/2: r = 3 V / A = 1 / (3 + sqrt 3); R = sqrt(3) / 2;
     # sum of squared edges 9; longest sqrt 2; shortest altitude 1 / sqrt 3.
     # Solid angle at (1, 0, 0): dihedral angles 90, 54.74, 54.74 degrees, minus 180 degrees.
@@ -45,7 +45,7 @@ def test_corner_of_the_cube():
         assert computed[name][0] == pytest.approx(value, rel=1e-5), name
 
 
-def test_lattice_tetrahedron():
+def test_measures_of_a_lattice_tetrahedron_match_hand_calculation():
     # Edges 1, 1 and four of sqrt(3)/2, V = 1/12, faces sqrt(2)/4: altitude 1 / sqrt 2.
     computed = measures(one(LATTICE))
     assert computed["volume_mm3"][0] == pytest.approx(1 / 12)
@@ -65,7 +65,7 @@ def test_measures_ignore_position_rotation_and_size():
         assert after[name][0] == pytest.approx(before[name][0], rel=1e-9), name
 
 
-def test_flat_is_worse_and_inverted_is_negative():
+def test_flat_tetrahedron_is_worse_and_inverted_one_has_negative_volume():
     flat = CORNER * (1, 1, 0.01)
     for name in ("M1", "M2", "M3", "M4"):
         assert measures(one(flat))[name][0] < 0.3 * measures(one(CORNER))[name][0], name

@@ -17,7 +17,7 @@ FILE = (
 
 @pytest.mark.slow
 @pytest.mark.skipif(not FILE.exists(), reason="the CT volume is not available")
-def test_ct_breast():
+def test_ct_breast_keeps_volumes_and_quality():
     nrrd = pytest.importorskip("nrrd")
     values, _ = nrrd.read(str(FILE))
     labels = Volume(np.ascontiguousarray(values.astype(np.uint8).T), (0.273,) * 3)

@@ -107,7 +107,7 @@ def test_interface_normal_to_an_axis_leaves_the_tip_of_a_tetrahedron(axis, part)
             |____\
 
     The legs are 12, 8 and 12 mm long and start at x = 3, y = 2 and z = 1 mm, voxels are
-    0.5 x 0.25 x 1 mm: exchanged axes, a flipped sign or a corner that is off by a voxel give
+    0.5 x 0.25 x 1 mm: swapped axes, a flipped sign or a corner that is off by a voxel give
     another fraction. Every plane is a face between voxels.
     """
     start, length = (3.0, 2.0, 1.0)[axis], (12.0, 8.0, 12.0)[axis]

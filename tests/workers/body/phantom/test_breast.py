@@ -116,7 +116,7 @@ def test_phantom_is_determined_by_its_seed():
 
 
 def test_density_changes_the_tissue_and_not_the_compartments():
-    """A denser breast of the same seed contains the gland of the less dense one, almost."""
+    """A denser breast from the same seed contains almost all of the gland of the less dense one."""
     thin, dense = (
         generate_breast(BreastPhantom(spacing_mm=1.0, glandular_fraction=f), 7) for f in (0.1, 0.3)
     )
@@ -139,7 +139,7 @@ def test_race_selects_compartments_in_proportion_to_their_odds():
 
 
 def test_last_place_goes_to_a_compartment_that_fits():
-    """900 of 1000 are selected; 400 does not fit, of the following ones 100 does."""
+    """Select 900 of 1000; then 400 does not fit, and the first later size that fits is 100."""
     voxels, odds = np.array([900, 400, 100, 30]), np.array([1e12, 1e6, 1.0, 1e-6])
     choice = choose_compartments(voxels, odds, 1000, np.random.default_rng(0))
     assert sorted(choice.whole) == [0, 2]

@@ -23,7 +23,7 @@ def compartments_of(settings, seed=1):
 
 
 def evaluate_box(settings, compartments, box, ids):
-    """Write the ids of the voxels of a box by evaluating each with all compartments."""
+    """Write the ids of the voxels in a box by evaluating each voxel with all compartments."""
     n = len(compartments.offset)
     fill_voxels(
         ids,

@@ -22,7 +22,7 @@ def pixel_bytes(path: Path, dataset: Any) -> tuple[int, int]:
     Raises
     ------
     InputError
-        If a size is missing or invalid, or the file has fewer pixels than stated.
+        If a size is missing or invalid, or the file has fewer pixels than its header gives.
     """
     names = ("Rows", "Columns", "NumberOfFrames", "SamplesPerPixel")
     sizes = [_whole(path, dataset, name) for name in names]

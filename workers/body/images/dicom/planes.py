@@ -15,11 +15,11 @@ from palpate.storage.values import FloatArray
 from palpate.workers.body.images.scan import Scan
 
 STATED_TOLERANCE = 0.01
-"""Allowed relative difference between the distance of slices and its tag."""
+"""Allowed relative difference between the distance of neighbouring slices and its tag."""
 MOST_SLOTS = 100_000
 """Largest number of slice positions between two neighbours."""
 GAP_TOLERANCE = 0.05
-"""Allowed deviation of a slice from its position in the stack, in gaps (positions are rounded)."""
+"""Allowed deviation of a slice from its position in the stack, in gaps; positions are rounded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ def stack(
     *,
     may_skip: bool = False,
 ) -> Planes:
-    """Sort slices along their normal; only positions determine their distances.
+    """Sort slices along their normal, with distances computed from their positions alone.
 
     Parameters
     ----------
@@ -113,10 +113,10 @@ def _refuse_gaps(gaps: FloatArray, gap_mm: float, what: str) -> None:
 
 
 def check_stated_gap(planes: Planes, tags: Any, what: str) -> None:
-    """Raise InputError if a tag contradicts the distance of the slices' positions.
+    """Raise InputError if a tag contradicts the distance between slice positions.
 
-    SpacingBetweenSlices is that distance. Without it, SliceThickness is expected to equal it; with
-    it, slices may overlap or leave gaps.
+    SpacingBetweenSlices gives that distance. Without it, SliceThickness must equal the distance;
+    with it, slices may overlap or leave gaps.
 
     Parameters
     ----------
@@ -133,9 +133,9 @@ def check_stated_gap(planes: Planes, tags: Any, what: str) -> None:
             continue
         if abs(gap - stated) > STATED_TOLERANCE * stated:
             raise InputError(
-                f"{what} is inconsistent: its slices are {gap:.4g} mm apart by their positions, "
-                f"expected {stated:.4g} mm by its {name}. Export it again, or correct the one that "
-                "is wrong."
+                f"{what} is inconsistent: its slices are {gap:.4g} mm apart according to their "
+                f"positions, expected {stated:.4g} mm according to its {name}. Export it again, or "
+                "correct the one that is wrong."
             )
         return
 
@@ -149,7 +149,7 @@ def plane_scan(
     ----------
     values : ndarray, shape (slots, rows, columns)
     pixel_spacing : sequence of two numbers, or None
-        DICOM's PixelSpacing: distance of rows, then of columns, in mm.
+        DICOM's PixelSpacing: distance between rows, then between columns, in mm.
     """
     rows, columns = (np.nan, np.nan) if pixel_spacing is None else map(float, pixel_spacing)
     gap = float(np.linalg.norm(planes.step_mm))

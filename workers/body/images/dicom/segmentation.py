@@ -1,8 +1,8 @@
 """DICOM segmentations: one file with many frames (PS3.3, A.51 and C.8.20).
 
 BINARY frames (one segment at one position each; the label is the segment
-number) and LABELMAP frames (labels unchanged) are supported. Frames without any
-voxel of a segment are usually missing in the file; they stay 0.
+number) and LABELMAP frames (labels unchanged) are supported. Frames without any voxel of a segment
+are usually missing from the file; they stay 0.
 """
 
 from dataclasses import replace
@@ -24,14 +24,14 @@ from palpate.workers.body.images.tissue_names import tissue_in
 
 
 def is_multi_frame(dataset: Any) -> bool:
-    """Return True if a data set has functional groups for each frame, or many frames."""
+    """Return True if a data set has functional groups for each frame, or several frames."""
     return (
         "PerFrameFunctionalGroupsSequence" in dataset or int(dataset.get("NumberOfFrames") or 1) > 1
     )
 
 
 def read_segmentation(path: Path, dataset: Any) -> Scan:
-    """Read a segmentation from an opened data set.
+    """Read a segmentation from an open data set.
 
     Raises
     ------

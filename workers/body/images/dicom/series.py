@@ -72,7 +72,7 @@ def _dataset(path: Path) -> Any:
         dataset = pydicom.dcmread(path)
     except InvalidDicomError as error:
         raise InputError(
-            f"{path} is not a DICOM file, or is damaged. Take it out of the folder, or export "
+            f"{path} is not a DICOM file, or is damaged. Remove it from the folder, or export "
             "the series again."
         ) from error
     if "Rows" in dataset and "PixelData" not in dataset:
@@ -129,7 +129,7 @@ def _refuse_mixed(images: list[tuple[Path, Any]], what: str) -> None:
     if len(frames) > 1:
         listed = "; ".join(f"{uid}: {count} slices" for uid, count in frames.most_common(4))
         raise InputError(
-            f"{what} has slices of {len(frames)} frames of reference ({listed}), whose positions "
+            f"{what} has slices from {len(frames)} frames of reference ({listed}), whose positions "
             "cannot be compared. Give one folder for each."
         )
     for name in ("Rows", "Columns", "PixelSpacing"):
@@ -142,9 +142,9 @@ def _refuse_mixed(images: list[tuple[Path, Any]], what: str) -> None:
 
 
 def _pixels(path: Path, dataset: Any) -> NDArray[Any]:
-    """Return pixels after rescale slope and intercept; integers if slope and intercept are."""
+    """Return the rescaled pixels; integers if slope and intercept are integers."""
     if dataset.get("SamplesPerPixel", 1) != 1:
-        raise InputError(f"{path} is a colour image; labels need one number in each pixel.")
+        raise InputError(f"{path} is a colour image; labels need one number per pixel.")
     try:
         pixels: NDArray[Any] = dataset.pixel_array
     except Exception as error:  # pydicom and its decoders raise nearly anything

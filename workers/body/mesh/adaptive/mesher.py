@@ -1,4 +1,4 @@
-"""Adaptive meshes of a body with a tissue inside."""
+"""Adaptive meshes of a body with an inner tissue."""
 
 from dataclasses import dataclass, replace
 
@@ -43,8 +43,8 @@ def adaptive_mesh(labels: Volume, sizes: Sizes, tissue: Tissue = Tissue.GLANDULA
 
     A body-centred lattice, graded 2:1 from small cells at that surface to large ones, is
     cut along the outline and along the surface. Nodes are moved to improve the tetrahedra;
-    the level of the surface is shifted until the tissue has the volume of its voxels, and the
-    same for the body. Equal input gives equal output.
+    the levels of outline and surface are shifted until body and tissue have the volumes of their
+    voxels. Equal input gives equal output.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def _cut_lattice(
     if not solid.any():
         raise InputError(
             f"The body in the volume ({outline.volume_mm3:.3g} mm3) is too small for cells of "
-            f"{sizes.skin_mm:g} mm. Ask for smaller ones."
+            f"{sizes.skin_mm:g} mm. Use smaller cells."
         )
     kept = np.flatnonzero(solid)
     tets = body.mesh.tets[kept]
@@ -110,7 +110,7 @@ def _cut_lattice(
 
 
 def _fitted(mesh: TetMesh, inside: BoolArray, constraints: Constraints) -> TetMesh:
-    """Alternate between smoothing and volume matching, ending with the volumes."""
+    """Alternate between smoothing and volume matching, ending with volume matching."""
     reach = 0.5 * _shortest_edge(mesh)
     for last in (*[False] * (ROUNDS - 1), True):
         mesh = smoothed(mesh, constraints, SWEEPS)
@@ -121,7 +121,7 @@ def _fitted(mesh: TetMesh, inside: BoolArray, constraints: Constraints) -> TetMe
 
 
 def _shifted(mesh: TetMesh, inside: BoolArray, c: Constraints) -> Constraints:
-    """Return constraints with surfaces moved outwards by the missing volume over their area."""
+    """Return constraints with surfaces moved outwards by the missing volume per area."""
     volume = volumes_mm3(mesh)
     tissue = float(volume[inside].sum())
     inner_area = _area(mesh, inside, c.on_interface)

@@ -1,4 +1,4 @@
-"""Hierarchies for the solver with an adaptive finest mesh on coarser homogeneous ones."""
+"""Mesh hierarchies for the solver: an adaptive finest mesh and coarser homogeneous ones."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Octrees of cubic cells: fine where required, at most twice as large from cell to cell."""
+"""Octrees of cubic cells: fine where required; neighbours differ by a factor of two at most."""
 
 from typing import Any
 

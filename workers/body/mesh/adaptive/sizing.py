@@ -14,7 +14,7 @@ from palpate.workers.body.mesh.outline import Outline
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of lattice cells; edges are 0.87 to 1 of them.
+    """Sizes of lattice cells; edges are 0.87 to 1 times as long.
 
     All but the first are rounded down to `smallest_mm` times 1, 2, 4, ...
 
@@ -29,7 +29,7 @@ class Sizes:
     largest_mm : float
         Size away from surfaces.
     layers : int
-        Least number of cells of a size between smaller and larger ones.
+        Least number of cells of one size between smaller and larger cells.
 
     Raises
     ------
@@ -48,14 +48,14 @@ class Sizes:
         ascending = all(a <= b for a, b in pairwise(ordered))
         if not (ascending and self.smallest_mm > 0 and self.layers >= 1):
             raise InputError(
-                "An adaptive mesh needs 0 < smallest <= surface <= skin <= largest size and a "
-                f"layer or more, got {', '.join(f'{s:g}' for s in ordered[1:])} mm and "
+                "An adaptive mesh needs 0 < smallest <= surface <= skin <= largest size and at "
+                f"least one layer, got {', '.join(f'{s:g}' for s in ordered[1:])} mm and "
                 f"{self.layers} layers."
             )
 
     @property
     def at_surface_mm(self) -> float:
-        """Size along the surface where nothing is thin."""
+        """Size along the surface away from thin places."""
         return self.smallest_mm if self.surface_mm is None else self.surface_mm
 
     def level_of(self, size_mm: float) -> int:
@@ -108,7 +108,7 @@ def _grown(cells: BoolArray, by: int) -> BoolArray:
 
 
 def _cells_at(places: FloatArray, corner: FloatArray, h: float, shape: list[int]) -> BoolArray:
-    """Return a mask of the cells of size h that contain one of the places."""
+    """Return a mask of the cells of size h that contain one of the points."""
     found = np.zeros(shape, np.bool_)
     cell = np.floor((places - corner) / h).astype(np.int64)
     cell = cell[((cell >= 0) & (cell < np.array(shape)[::-1])).all(axis=1)]

@@ -3,7 +3,7 @@
 Y. Hu et al., "Fast tetrahedral meshing in the wild", ACM Trans. Graph. 39(4), 2020. Used through
 the optional package pytetwild: ``pip install 'palpate[mesh]'``.
 fTetWild has no materials, so a tetrahedron gets the tissue at its centroid. It is
-not repeatable, so a mesh has to be stored, not made again.
+not repeatable, so a mesh has to be stored, not regenerated.
 """
 
 from contextlib import chdir
@@ -42,7 +42,7 @@ def tetwild_mesh(labels: Volume, size_mm: float, tissue: Tissue = Tissue.GLANDUL
     labels : Volume
         `Tissue`; everything but `tissue` and air is one material.
     size_mm : float
-        Wanted length of edges.
+        Target length of edges.
     tissue : Tissue
 
     Raises

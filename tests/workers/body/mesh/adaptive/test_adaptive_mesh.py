@@ -79,7 +79,7 @@ def test_equal_input_gives_equal_output(meshed: AdaptiveMesh, labels: Volume) ->
     assert np.array_equal(again.inside, meshed.inside)
 
 
-def test_agreement_of_a_known_mesh() -> None:
+def test_agreement_matches_the_counts_of_a_known_mesh() -> None:
     """A cube of six tetrahedra, one of them inside, against sampled voxels."""
     values = np.full((12, 12, 12), Tissue.FAT, np.uint8)
     z, y, x = np.mgrid[:12, :12, :12]

@@ -24,14 +24,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """Number of the model that can be known, searched or suspected.
+    """Quantity of the model that can be known, searched or suspected.
 
     Values are in internal units (mm, N, MPa).
 
     Parameters
     ----------
     name : str
-        Inside name, without unit.
+        Internal name, without unit.
     unit : Unit
         Unit in files.
     lower, upper : float
@@ -235,12 +235,12 @@ class Vocabulary:
         return {self[name].door_name: self[name].unit.to_door(v) for name, v in values.items()}
 
     def complete(self, *stated: Mapping[str, float]) -> dict[str, float]:
-        """Return values of all parameters: the last one stated, or else the neutral one.
+        """Return values of all parameters: the last one given, or else the neutral one.
 
         Raises
         ------
         InputError
-            If a stated name is unknown or a value not admissible.
+            If a given name is unknown or a value not admissible.
         """
         given = {name: self[name].check(v) for mapping in stated for name, v in mapping.items()}
         values: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""Names, units, bounds and neutral values of parameters, in files and inside."""
+"""Names, units, bounds and neutral values of parameters, in files and in the code."""
 
 import math
 
@@ -19,7 +19,7 @@ def test_converts_kilopascals_to_megapascals():
 
 
 @pytest.mark.parametrize("kpa", [0.1, 3.0, 7.5, 10.0, 36.75, 112.5, 1643.1])
-def test_stiffness_round_trip(kpa):
+def test_stiffness_survives_a_round_trip(kpa):
     assert KPA.to_door(KPA.to_inside(kpa)) == pytest.approx(kpa, rel=1e-15)
 
 
@@ -40,7 +40,7 @@ def test_pure_number_has_no_unit_in_its_name():
         ("E_skin", 200, 3000),
     ],
 )
-def test_intervals_of_the_thesis(name, lower_kpa, upper_kpa):
+def test_default_intervals_match_the_thesis(name, lower_kpa, upper_kpa):
     assert BREAST[name].bounds == (lower_kpa / 1000, upper_kpa / 1000)
 
 
@@ -52,12 +52,12 @@ def test_neutral_values_are_the_first_target_of_the_thesis():
     assert values["nu"] == 0.49
 
 
-def test_muscle_follows_fat_until_it_is_stated():
+def test_muscle_follows_fat_until_it_is_given():
     assert BREAST.complete({"E_fat": 0.007})["E_muscle"] == 0.007
     assert BREAST.complete({"E_fat": 0.007, "E_muscle": 0.06})["E_muscle"] == 0.06
 
 
-def test_last_stated_value_applies():
+def test_last_given_value_applies():
     assert BREAST.complete({"E_fat": 0.007}, {"E_fat": 0.008})["E_fat"] == 0.008
 
 
@@ -113,7 +113,7 @@ def test_effect_parameter_is_neutral_by_default():
     assert "friction" not in BREAST
 
 
-def test_vocabulary_without_a_name():
+def test_vocabulary_can_omit_a_name():
     assert "E_skin" not in BREAST.without(["E_skin"])
     assert len(BREAST.without(["E_skin"])) == len(BREAST) - 1
 

@@ -1,9 +1,8 @@
 """Effects that a model may lack: parameters that it holds at a neutral value.
 
-An effect turns a `Problem` into another one, or the observation into another
-one. At the neutral values of its parameters it changes nothing. A diagnosis frees
-them, so each has a plausible scale, and a step for differentiating the
-out-of-balance force.
+An effect changes either the `Problem` or the observation. At the neutral values of its parameters
+it changes nothing. A diagnosis frees them, so each has a plausible scale, and a step for
+differentiating the out-of-balance force.
 """
 
 import math
@@ -43,7 +42,7 @@ ANY = (-math.inf, math.inf)
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Place of an effect that acts at one place.
+    """Region in which an effect at one place is searched.
 
     Parameters
     ----------
@@ -51,7 +50,7 @@ class Place:
         Names of the parameters for the offsets from the middle of the body along x, y and z,
         then for the radius if several radii are tried.
     on : {"inside", "boundary"}
-        Where it may be.
+        Where the place may be.
     radii_mm : tuple of float
         Radii to try; empty to keep the neutral one.
     """
@@ -107,7 +106,7 @@ class Effect:
         Maps problem, values of all parameters and frame of the body to the problem
         with the effect. An effect on the observation returns the problem itself.
     references : tuple of str
-        Evidence that it matters.
+        Evidence that the effect matters.
     observation : callable, optional
         For an effect on the observation: maps points, normals, tissues and frame to
         the shift of the observed interface for one unit of each parameter, shape
@@ -117,7 +116,7 @@ class Effect:
         mean and standard deviation of each parameter in that case. Screening still uses
         the scale of `prior_sd`; a refit uses this one.
     sees : {"points", "moves", "arms", "cells"}
-        Points passed to such an effect: present positions, displacements, or displacements
+        Points passed to such an effect: current positions, displacements, or displacements
         of the end of a 1 mm arm at each point relative to its foot. "cells": displacements, for
         an effect on the readings of load cells only; the others do not change these.
     place : Place, optional
@@ -266,14 +265,14 @@ class Effect:
 
     @property
     def plausible(self) -> dict[str, float]:
-        """Return all parameters one standard deviation from their neutral values."""
+        """Return values of all parameters one standard deviation from neutral."""
         return {
             name: self.neutral[name] + sd
             for name, sd in zip(self.names, self.prior_sd, strict=True)
         }
 
     def complete(self, values: Values) -> dict[str, float]:
-        """Return `values`, completed by neutral ones.
+        """Return `values` with neutral values for the missing parameters.
 
         Raises
         ------
@@ -283,13 +282,13 @@ class Effect:
         return Vocabulary(self.parameters).complete(values)
 
     def apply(self, problem: Problem, values: Values, frame: Frame) -> Problem:
-        """Return `problem` with the effect; the problem itself where all values are neutral.
+        """Return `problem` with the effect; the problem itself if all values are neutral.
 
         Parameters
         ----------
         problem : Problem
         values : mapping of str to float
-            Inside names and units; missing ones are neutral.
+            Internal names and units; missing ones are neutral.
         frame : Frame
             Of the undeformed body.
 
@@ -302,7 +301,7 @@ class Effect:
         return problem if full == self.neutral else self.transform(problem, full, frame)
 
     def acts_on(self, problem: Problem, frame: Frame) -> bool:
-        """Test whether the effect changes the problem: absent plates cannot tilt."""
+        """Test whether the effect changes this problem: without plates, no plate can tilt."""
         if self.observation is not None:
             return True
         return self.apply(problem, self.plausible, frame) != problem

@@ -111,7 +111,7 @@ WALL_HOLD_NAMES = ("wall_hold_x", "wall_hold_y")
 
 
 def _wall_hold(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Add springs along x and y where the wall is not held, parallel to its own."""
+    """Add springs along x and y where the wall is not held, in parallel with its own."""
     wall = problem.wall
     x, y = (
         0.0 if held else values[name]
@@ -162,7 +162,7 @@ def _local_attachment(problem: Problem, values: Values, frame: Frame) -> Problem
 
 
 def _true_attachment(given: Mapping[str, Any]) -> dict[str, float]:
-    """Return the springs along all axes of a tether, along the chest wall of a scar.
+    """Return the springs: along all axes for a tether, along the chest wall for a scar.
 
     Springs are per area; a disc of radius R, the shape of a scar, has the total stiffness of a
     bell of radius R / sqrt(2).
@@ -179,7 +179,7 @@ def _true_attachment(given: Mapping[str, Any]) -> dict[str, float]:
 LOCAL_ATTACHMENT = Effect(
     name="local_attachment",
     family="boundary",
-    summary="The breast is held at one place, such as by a tether, a scar or sticking skin.",
+    summary="The breast is held at one place, for example by a tether, a scar or sticking skin.",
     parameters=(
         *(
             from_zero(

@@ -61,7 +61,7 @@ class Catalogue:
         problem : Problem
             Without effects.
         values : mapping of str to float
-            Inside names and units; effects without a value are left out.
+            Internal names and units; effects without a value are left out.
         frame : Frame
             Of the undeformed body.
 

@@ -120,7 +120,7 @@ def load_cell_offset(mm_per_n: Sequence[float], sd_n: float) -> Effect:
     return Effect(
         name="load_cell_offset",
         family="observation",
-        summary="The load cell shows a force without a load, or its zero was set under load.",
+        summary="The load cell reads a force without a load, or was zeroed under load.",
         parameters=tuple(
             two_sided(n, N, 20 * sd_n, "reading of the load cell without a load") for n in names
         ),

@@ -83,7 +83,7 @@ def _gravity_prestress(problem: Problem, values: Values, frame: Frame) -> Proble
 PRESTRESS = Effect(
     name="gravity_prestress",
     family="loading",
-    summary="Gravity pulled the same way in both scans and had stretched the imaged body.",
+    summary="Gravity acted in the same direction in both scans and had stretched the imaged body.",
     parameters=(
         two_sided(
             GRAVITY_PRESTRESS_NAME,
@@ -111,7 +111,7 @@ PLATE_FORCE_NAME = "ln_plate_force"
 
 
 def _plate_force(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Multiply the force; plates at a given distance stay there."""
+    """Multiply the plate force; plates at a given distance do not move."""
     load = problem.load
     if not isinstance(load, ForceControl):
         return problem
@@ -129,7 +129,7 @@ def _true_plate_force(given: Mapping[str, Any]) -> dict[str, float]:
 PLATE_FORCE = Effect(
     name="plate_force",
     family="loading",
-    summary="Part of the plate's force goes through the chest wall, or its sensor is off.",
+    summary="The chest wall carries part of the plate's force, or the force sensor is inaccurate.",
     parameters=(
         Parameter(
             PLATE_FORCE_NAME,
@@ -271,7 +271,10 @@ def added_mass(down: Triple, region: Region) -> Effect:
         summary="Markers, hooks or glue add weight at the loaded place.",
         parameters=(
             from_zero(
-                ADDED_MASS_NAME, GRAM, GRAM.to_inside(50.0), "mass attached there in every state"
+                ADDED_MASS_NAME,
+                GRAM,
+                GRAM.to_inside(50.0),
+                "mass attached at the loaded place in every state",
             ),
         ),
         prior_sd=(GRAM.to_inside(5.0),),

@@ -177,7 +177,7 @@ def _creep(problem: Problem, values: Values, frame: Frame) -> Problem:
 CREEP = Effect(
     name="creep",
     family="global material",
-    summary="The tissue has relaxed under the plates since its stiffness was assumed.",
+    summary="The tissue has relaxed under the plates and is softer than assumed.",
     parameters=(
         from_zero(
             CREEP_NAME,

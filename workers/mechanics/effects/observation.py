@@ -23,7 +23,7 @@ RIGID_MOTION_TURNS = ("motion_turn_x", "motion_turn_y", "motion_turn_z")
 def rigid_columns(points: FloatArray, normals: FloatArray, centre_mm: Triple) -> FloatArray:
     """Return the normal motion for 1 mm along and 1 degree about each axis, shape (k, 6).
 
-    Turns are about `centre_mm` and linearised: they neglect r theta^2 / 2, which is 0.12 mm
+    Rotations are about `centre_mm` and linearised: they neglect r theta^2 / 2, which is 0.12 mm
     for 3 degrees at 85 mm. See `Effect.shift`.
     """
     arm = np.asarray(points) - np.asarray(centre_mm)
@@ -116,7 +116,7 @@ def _image_scale_columns(
 ) -> FloatArray:
     """Return the normal motion of a magnification about the middle of the body, shape (k, 3).
 
-    For a scale larger by one along each axis; see `Effect.shift`.
+    For a scale increased by one along each axis; see `Effect.shift`.
     """
     return np.asarray((points - np.asarray(frame.centre_mm)) * normals)
 

@@ -64,7 +64,7 @@ ARM_MM = 50.0
 
 
 def _plate_flex(problem: Problem, values: Values, frame: Frame) -> Problem:
-    """Bend the upper plate to a parabola: ``sag = bow arm^2 / 2``."""
+    """Bend the upper plate into a parabola: ``sag = bow arm^2 / 2``."""
 
     def bent(device: Device) -> Device:
         bow = device.upper.bow_per_mm

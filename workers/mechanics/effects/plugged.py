@@ -24,7 +24,7 @@ def acting_plugins(values: Mapping[str, float]) -> tuple[Plugin, ...]:
     Parameters
     ----------
     values : mapping of str to float
-        Inside names and units.
+        Internal names and units.
     """
     return tuple(
         plugin

@@ -73,7 +73,7 @@ class Fibres:
         bad = np.count_nonzero(~(np.isfinite(length) & (length > 0)))
         if bad:
             raise InputError(
-                f"{bad} of {length.size} fibre directions have no length. Give every point a "
+                f"{bad} of {length.size} fibre directions have zero length. Give every point a "
                 "vector (x, y, z) other than zero; where there are no fibres, set eta to zero."
             )
         a /= length

@@ -72,7 +72,7 @@ def ogden(terms: int) -> Family:
     """Return the family of Ogden laws whose terms all add stiffness.
 
     Terms with ``mu alpha >= 0`` keep the law stable in every deformation; without that
-    bound, fitted terms of opposite sign follow the table and misbehave outside it.
+    bound, fitted terms of opposite sign match the table but misbehave outside it.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def ogden(terms: int) -> Family:
         If there are fewer or more.
     """
     if not 1 <= terms <= MOST_TERMS:
-        raise InputError(f"An Ogden law is fitted with 1 to {MOST_TERMS} terms, got {terms}.")
+        raise InputError(f"An Ogden law must have 1 to {MOST_TERMS} terms, got {terms}.")
     return Family(
         f"Ogden, {terms} terms" if terms > 1 else "Ogden, 1 term",
         lambda m, alpha: Ogden.from_convention("abaqus", _floats(m), _floats(alpha)),

@@ -164,7 +164,7 @@ def _shape_of_two_terms(law: Ogden) -> Values:
     return {"alpha1": alpha1, "alpha2": alpha2, "share2": second / law.shear_modulus_mpa}
 
 
-SHARE = "part of the shear modulus at rest that is its second term's"
+SHARE = "part of the shear modulus at rest due to the second term"
 
 NEO_HOOKEAN = LawPlugin(
     DEFAULT_LAW, "neo-Hookean", (), lambda mu, _: NeoHookean(mu), law_families.NEO_HOOKEAN
@@ -181,8 +181,8 @@ YEOH = LawPlugin(
     "yeoh",
     "Yeoh",
     (
-        _number("c2", (0.0, 5.0), 0.0, "c2/mu0, of the square of I1bar - 3"),
-        _number("c3", (0.0, 10.0), 0.0, "c3/mu0, of its cube"),
+        _number("c2", (0.0, 5.0), 0.0, "c2/mu0, coefficient of the square of I1bar - 3"),
+        _number("c3", (0.0, 10.0), 0.0, "c3/mu0, coefficient of the cube of I1bar - 3"),
     ),
     _yeoh,
     law_families.YEOH,

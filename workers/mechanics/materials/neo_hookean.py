@@ -9,7 +9,7 @@ from palpate.workers.mechanics.materials.invariants import shape_of, stress, tan
 
 @dataclass(frozen=True, slots=True)
 class NeoHookean:
-    r"""Neo-Hookean law: one constant, valid up to some 30 % strain.
+    r"""Neo-Hookean law: one constant, valid up to about 30 % strain.
 
     .. math:: W = \frac{\mu}{2} (\bar I_1 - 3)
 

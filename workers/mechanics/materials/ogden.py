@@ -89,7 +89,7 @@ class Ogden:
                 f"{len(self.mu_mpa)} moduli and {len(self.alpha)} exponents."
             )
         if 0 in self.alpha:
-            raise InputError(f"An Ogden law has no term with the exponent 0, got {self.alpha}.")
+            raise InputError(f"The exponents of an Ogden law must not be 0, got {self.alpha}.")
         mu0 = {"the shear modulus sum(mu alpha)/2": self.shear_modulus_mpa}
         require("An Ogden law", self, mu0, (*self.mu_mpa, *self.alpha))
 

@@ -2,8 +2,8 @@
 
 One column is the deformation: ``stretch`` (1 at rest), ``strain`` or ``strain_percent`` along the
 load, or ``shear``, the amount of simple shear. One is the nominal stress, force per undeformed
-area: ``stress_kpa``, ``stress_mpa`` or ``stress_pa``. A column ``mode`` marks rows of other than
-uniaxial tests: ``equibiaxial`` or ``planar``. Other columns are ignored.
+area: ``stress_kpa``, ``stress_mpa`` or ``stress_pa``. A column ``mode`` marks rows of tests that
+are not uniaxial: ``equibiaxial`` or ``planar``. Other columns are ignored.
 """
 
 import csv

@@ -28,7 +28,7 @@ def sheet_mesh(
     outline : ndarray, shape (p, 2)
         Corners of a polygon without self-intersections, in mm.
     lines : iterable of ndarray, shape (2, 2)
-        Segments to follow by edges of triangles.
+        Segments that edges of triangles must follow.
     nodes : int
         Approximate number of nodes.
     thickness_mm : float

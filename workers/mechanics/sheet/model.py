@@ -87,7 +87,7 @@ class SheetModel:
         return np.asarray(edges[first[count == 1]])
 
     def shares(self, inside: BoolArray) -> FloatArray:
-        """Return the nodes' shares of an even load on a region, shape (n,), with sum 1.
+        """Return the nodes' shares of a uniform load on a region, shape (n,), with sum 1.
 
         Parameters
         ----------

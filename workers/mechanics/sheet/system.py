@@ -49,9 +49,9 @@ class SheetSystem:
     def __post_init__(self) -> None:
         p, c = self.problem, self.constants
         refused = {
-            "skin of its own": p.membrane,
+            "a separate skin": p.membrane,
             "local springs": p.attachments,
-            "weight in its image": any(p.imaged_gravity_g),
+            "gravity during imaging": any(p.imaged_gravity_g),
             "fibres": c.fibre_mpa or c.second_fibre_mpa,
             "tissue growth": c.growth != 1,
         }

@@ -20,7 +20,7 @@ effect = CATALOGUE.named
 FRAME = Frame((1.0, -2.0, 20.0), tuple(HALF_MM))
 
 
-def test_gravity_and_prestress():
+def test_gravity_effects_add_a_body_force():
     moved = effect("gravity_change").apply(busy(), {"gravity_y": 0.5}, FRAME)
     assert moved.gravity_g == (0.1, 0.7, 0.3)
     assert moved.imaged_gravity_g == busy().imaged_gravity_g
@@ -28,7 +28,7 @@ def test_gravity_and_prestress():
     assert both.gravity_g == both.imaged_gravity_g == (0.0, 0.0, 1.0)
 
 
-def test_plates():
+def test_plate_effects_change_force_shape_and_edge():
     half = effect("plate_force").apply(plain(), {"ln_plate_force": math.log(0.5)}, FRAME)
     assert half.load.force_n == pytest.approx(10.0)
     at_distance = replace(plain(), load=DistanceControl(-20.0, 20.0))
@@ -51,7 +51,7 @@ def test_plates():
         assert not effect(name).acts_on(loose, FRAME)
 
 
-def test_compressibility_of_glandular_tissue_alone():
+def test_compressibility_contrast_changes_only_glandular_tissue():
     """From nu = 0.49, 1 - 2 nu = 0.02, to three times that."""
     moved = effect("compressibility_contrast").apply(
         plain(), {"ln_compressibility_contrast": math.log(3.0)}, FRAME
@@ -74,7 +74,7 @@ def test_image_shear_equals_the_shear_matrix():
     np.testing.assert_allclose(found, (moved * normals).sum(axis=1), atol=1e-12)
 
 
-def test_wall_compliance_and_hold():
+def test_wall_compliance_acts_in_series_and_wall_hold_in_parallel():
     """Compliances add in series, springs in parallel."""
     compliance = MM_PER_KPA.to_inside(0.1)
     assert compliance == 100.0
@@ -104,7 +104,7 @@ def test_attachment_is_added_to_existing_ones():
     assert effect("local_attachment").apply(plain(), where, FRAME).attachments == ()
 
 
-def test_growth_and_fibres_of_each_tissue():
+def test_growth_and_fibre_contrast_change_only_their_tissue():
     grown = effect("growth").apply(plain(), {"ln_growth_glandular": math.log(1.1)}, FRAME)
     assert grown.constants[Tissue.GLANDULAR].growth == pytest.approx(1.1)
     assert grown.constants[Tissue.FAT] == plain().constants[Tissue.FAT]
@@ -129,7 +129,7 @@ def test_variations_keep_their_order():
     )
 
 
-def test_fibres():
+def test_fibre_effects_turn_the_fibre_direction():
     turned = effect("fibre_rotation").apply(plain(), {"fibre_turn_y": 10.0}, FRAME)
     direction = turned.fibres.directions(np.zeros((1, 3)))[0]
     assert direction == pytest.approx((0.0, math.sin(math.radians(10)), math.cos(math.radians(10))))
@@ -142,7 +142,7 @@ def test_fibres():
     assert effect("fibre_fan").apply(own, {"fibre_fan_y": 1.0}, FRAME).fibres.frame == Frame()
 
 
-def test_direction_of_second_fibres():
+def test_second_fibres_are_normal_to_compression_and_first_fibres():
     s = math.sqrt(0.5)
     oblique = plain()
     device = replace(oblique.load.device, axis=(s, s, 0.0))
@@ -156,7 +156,7 @@ def test_direction_of_second_fibres():
     assert more.constants[Tissue.FAT].second_fibre_mpa == 0.02
 
 
-def test_materials():
+def test_material_effects_scale_the_constants():
     at = {"ln_compressibility": math.log(2.0)}
     soft = effect("compressibility").apply(plain(), at, FRAME)
     fat, was = soft.constants[Tissue.FAT], plain().constants[Tissue.FAT]
@@ -187,7 +187,7 @@ def test_creep_scales_a_chosen_law():
     assert stiffer.constants[Tissue.FAT] == own
 
 
-def test_skin():
+def test_skin_effects_add_or_scale_stiffness():
     added = N_PER_M.to_inside(1500.0)
     assert added == 1.5
     made = effect("skin_added").apply(plain(), {"skin_added": added}, FRAME).membrane

@@ -284,7 +284,7 @@ def test_clamp_compliance_keeps_springs_along_x_and_y():
     assert CLAMP_COMPLIANCE.apply(loose, values, FRAME) == loose  # already compliant
 
 
-def test_units_of_effects():
+def test_units_survive_a_round_trip():
     for unit, door in ((KPA_PER_MM, 0.3), (MM_PER_KPA, 0.3), (N_PER_M, 1234.5), (MM, 1.1)):
         assert unit.to_door(unit.to_inside(door)) == pytest.approx(door, rel=1e-15)
     assert problem(NoPlates()).constants[Tissue.FAT].young_mpa == 0.010

@@ -117,7 +117,7 @@ def test_tangents_equal_differences_of_solutions(e):
         assert np.abs(slopes[k] - expected).max() < RELATIVE * np.abs(expected).max()
 
 
-def test_tangent_of_prestress():
+def test_tangent_of_prestress_equals_differences_of_solutions():
     """The stress-free shape has a tolerance, so steps and errors are larger."""
     e = replace(PRESTRESS, steps=(0.01,))
     problem = replace(base(e), tolerance_mm=1e-6)
@@ -133,7 +133,7 @@ def test_tangent_of_prestress():
     [e for e in ON_BODY if e.name not in ("gravity_prestress", "plate_friction")],
     ids=lambda e: e.name,
 )
-def test_tangents_away_from_neutral(e):
+def test_tangents_away_from_neutral_equal_differences_of_solutions(e):
     """At half the plausible values, where most effects are no longer linear."""
     at = {name: (value + e.neutral[name]) / 2 for name, value in e.plausible.items()}
     here = solved(e.apply(base(e), at, frame()), start_of(e))

@@ -1,4 +1,4 @@
-"""Small bodies whose answers are known."""
+"""Small bodies with known solutions."""
 
 import itertools
 from dataclasses import replace
@@ -88,7 +88,7 @@ def interpolation(coarse: TetMesh, points: np.ndarray) -> sparse.csr_matrix:
 
 
 def loose_level(model: LevelModel, constants: Constants, **options: object) -> Level:
-    """A level without plates or springs; the test holds what it wants."""
+    """A level without plates or springs; tests prescribe the displacements they need."""
     loose = Wall(held=(False, False, False))
     level = Level.build(model, Problem({Tissue.FAT: constants}, NoPlates(), wall=loose, **options))
     return replace(level, springs=np.zeros_like(level.springs))

@@ -1,4 +1,4 @@
-"""Bodies with a solution in closed form."""
+"""Bodies with closed-form solutions."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def uniaxial(c: Constants, stretch_y: float, *, fibre: float = 1.0) -> tuple[flo
 
 
 @pytest.mark.parametrize("plain", [False, True])
-def test_patch(plain):
+def test_affine_boundary_gives_an_affine_interior(plain):
     """With an affine boundary the interior is affine, whatever the mesh."""
     model = model_of(cube(4, jitter=0.25)).finest
     level = loose_level(model, Constants(0.01, 0.49, 0.1), plain_elements=plain)
@@ -55,7 +55,7 @@ def test_patch(plain):
 
 
 @pytest.mark.parametrize("eta", [0.0, 0.1])
-def test_uniaxial_compression_with_fibres(eta):
+def test_uniaxial_compression_with_fibres_matches_the_closed_form(eta):
     model = model_of(cube(3, jitter=0.2)).finest
     c = Constants(0.01, 0.49, eta)
     level = loose_level(model, c)
@@ -93,7 +93,7 @@ def test_fibres_in_tension_only_do_not_resist_compression():
     assert forces["literal"] / forces["matrix"] == pytest.approx(1.8, rel=0.03)
 
 
-def test_block_between_frictionless_plates():
+def test_block_between_frictionless_plates_is_in_uniaxial_stress():
     """Uniaxial stress; the plates penetrate by pressure / 0.5 N/mm^3."""
     c = Constants(0.01, 0.49, 0.02)
     mesh = cube(4)
@@ -121,7 +121,7 @@ def test_force_control_inverts_distance_control():
     assert found.outcome.plate_displacement_mm == pytest.approx(2.0, abs=1e-5)
 
 
-def test_skin_stiffens():
+def test_skin_stiffens_the_body():
     model = model_of(cube(3))
     c = {Tissue.FAT: Constants(0.01, 0.49)}
     load = DistanceControl(0.0, 8.0)

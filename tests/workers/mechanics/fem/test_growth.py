@@ -71,7 +71,7 @@ def test_grown_body_equals_a_larger_body(isochoric_fibre):
 
 
 def test_rejects_growth_of_plain_elements():
-    with pytest.raises(InputError, match="do not grow"):
+    with pytest.raises(InputError, match="cannot grow"):
         problem_of(replace(NOTHING, growth=1.1), False, plain_elements=True)
 
 

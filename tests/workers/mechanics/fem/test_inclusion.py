@@ -65,7 +65,7 @@ def strain_inside(contrast: float, far: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("contrast", [10.0, 0.2])
-def test_strain_inside_is_eshelbys(contrast):
+def test_strain_inside_matches_eshelby(contrast):
     """Pulled along x; the surface of the ball is a surface of the mesh, smoothed over 1 mm."""
     e = 1e-4
     far = np.array([e, 0.0, 0.0])
@@ -78,7 +78,7 @@ def test_strain_inside_is_eshelbys(contrast):
     np.testing.assert_allclose(np.diagonal(found), exact, atol=0.04 * np.abs(exact).max())
 
 
-def test_volume_strain_inside():
+def test_volume_strain_inside_matches_eshelby():
     e = 1e-4
     volume, _ = concentration(10.0)
     found = strain_inside(10.0, np.full(3, e))

@@ -147,14 +147,14 @@ def study(c: Constants, *, plain: bool) -> FloatArray:
 @pytest.mark.parametrize(
     ("nu", "plain"), [(0.3, False), (0.3, True), (0.49, False)], ids=["0.3", "0.3 plain", "0.49"]
 )
-def test_orders_of_convergence(nu, plain):
+def test_displacement_and_stress_converge_at_their_orders(nu, plain):
     found = study(Constants(0.01, nu, fibre_mpa=0.003), plain=plain)
     displacement, stresses = np.log2(found[-2] / found[-1])
     assert displacement == pytest.approx(2, abs=0.15)
     assert stresses == pytest.approx(1, abs=0.15)
 
 
-def test_plain_elements_lock_and_averaged_ones_do_not():
+def test_plain_elements_lock_but_averaged_elements_do_not():
     """At nu = 0.499, on coarse meshes."""
     c = Constants(0.01, 0.499, fibre_mpa=0.003)
     averaged, plain = (study(c, plain=p) for p in (False, True))

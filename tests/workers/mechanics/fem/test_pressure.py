@@ -94,7 +94,7 @@ def test_closed_form_of_the_shell_equals_its_integral():
     assert shell_pressure(0.01, 1.4, 1.05) == pytest.approx(found, rel=1e-12)
 
 
-def test_inflated_thick_shell():
+def test_inflated_thick_shell_matches_the_closed_form():
     """An eighth of a shell, radii 20 and 40 mm; the inner radius grows by about a quarter."""
     c = Constants(0.01, 0.4995)
     inner, outer, pressure_mpa = 20.0, 40.0, 0.0018

@@ -11,7 +11,7 @@ Z = np.array([0.0, 0.0, 1.0])
 A = ALONG / np.linalg.norm(ALONG)
 
 
-def test_stress_along_the_fibre():
+def test_stress_along_the_fibre_matches_the_closed_form():
     """W = eta/2 (l^2 - 1)^2, P = 2 eta (l^2 - 1) l, dP/dl = 2 eta (3 l^2 - 1)."""
     l, eta = 1.3, 0.02
     law, F = Fibres(eta, 5 * Z), np.diag([0.9, 0.8, l])
@@ -52,7 +52,7 @@ def test_short_fibres_are_slack_in_tension_only(isochoric):
 
 
 @pytest.mark.parametrize("name", FIBRES)
-def test_one_direction_per_point(name):
+def test_accepts_one_direction_per_point(name):
     F = deformations()
     directions = np.random.default_rng(5).standard_normal((len(F), 3))
     kind = {"tension_only": FIBRES[name].tension_only, "isochoric": FIBRES[name].isochoric}
@@ -65,7 +65,7 @@ def test_one_direction_per_point(name):
 
 
 @pytest.mark.parametrize("name", FIBRES)
-def test_many_directions_with_one_deformation(name):
+def test_accepts_many_directions_with_one_deformation(name):
     kind = {"tension_only": FIBRES[name].tension_only, "isochoric": FIBRES[name].isochoric}
     F, directions = deformations()[20], np.eye(3)
     law = Fibres(0.02, directions, **kind)
@@ -90,7 +90,7 @@ def test_directions_are_copied_and_read_only():
         (-0.1, Z, "eta >= 0 MPa, got -0.1"),
         (0.1, np.zeros(4), r"shape \(..., 3\), got \(4,\)"),
         (0.1, np.array(1.0), r"got \(\)"),
-        (0.1, np.array([Z, 0 * Z, np.nan * Z]), "2 of 3 fibre directions have no length"),
+        (0.1, np.array([Z, 0 * Z, np.nan * Z]), "2 of 3 fibre directions have zero length"),
     ],
 )
 def test_rejects_invalid_fibres(eta, directions, words):

@@ -1,4 +1,4 @@
-"""Fits recover the law of a table, or else find the best one."""
+"""Fits recover the law behind a table, or else find the best law."""
 
 import numpy as np
 import pytest
@@ -95,7 +95,7 @@ def test_fit_is_a_local_minimum(family):
             assert np.sqrt(np.mean(np.square(errors))) > best.error
 
 
-def test_errors_of_each_table():
+def test_reports_the_error_of_each_table():
     """A law without error in shear, where x = y, but with errors in other modes."""
     tables = tables_of(MooneyRivlin(0.1, 0.1))
     errors = [relative_error(NeoHookean(0.4), table) for table in tables]

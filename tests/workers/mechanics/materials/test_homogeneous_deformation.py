@@ -45,7 +45,7 @@ SLOPES = {
 
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("name", SLOPES)
-def test_laws_of_invariants(name, mode):
+def test_laws_of_invariants_match_rivlin(name, mode):
     I1, I2 = INVARIANTS[mode](L)
     w1, w2 = SLOPES[name](I1 - 3, I2 - 3)
     a, b = RIVLIN[mode](L)
@@ -56,14 +56,14 @@ def test_laws_of_invariants(name, mode):
 @pytest.mark.parametrize(
     ("mode", "power"), [(Mode.UNIAXIAL, -0.5), (Mode.EQUIBIAXIAL, -2.0), (Mode.PLANAR, -1.0)]
 )
-def test_ogden(mode, power):
+def test_ogden_matches_the_closed_forms(mode, power):
     law = ISOCHORIC["ogden-treloar"]
     terms = zip(law.mu_mpa, law.alpha, strict=True)
     expected = sum(mu * (L ** (a - 1) - L ** (power * a - 1)) for mu, a in terms)
     np.testing.assert_allclose(nominal_stress_mpa(law, mode, L), expected, rtol=1e-11, atol=1e-15)
 
 
-def test_ogden_in_simple_shear():
+def test_ogden_in_simple_shear_matches_the_closed_form():
     """P = dW/dg with stretches l, 1/l, l - 1/l = g, and so dl/dg = l^2 / (1 + l^2)."""
     g, mu, alpha = np.linspace(-0.5, 0.5, 11), 2.0, -7.0
     l = g / 2 + np.sqrt(1 + g**2 / 4)

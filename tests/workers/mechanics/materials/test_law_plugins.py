@@ -112,7 +112,7 @@ def test_yeoh_but_not_neo_hooke_fits_treloars_rubber():
     assert yeoh.constants["yeoh_c2"] < 0 < yeoh.constants["yeoh_c3"]
 
 
-def test_law_of_a_constant_by_its_name():
+def test_finds_the_law_of_a_constant_by_its_name():
     for name in SHAPES:
         for tissue in ("", "fat"):
             for p in law_named(name).constants(tissue):

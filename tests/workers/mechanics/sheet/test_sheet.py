@@ -350,7 +350,7 @@ def test_even_load_is_shared_by_area_and_by_length():
 
 
 def test_rejects_unsupported_problems(strip):
-    with pytest.raises(InputError, match="cannot be simulated with skin of its own"):
+    with pytest.raises(InputError, match="cannot be simulated with a separate skin"):
         equilibrium(strip, pulled(1.1, membrane=Membrane(0.1, 1.0)))
     with pytest.raises(InputError, match="too coarse"):
         sheet_mesh(RECTANGLE, [], 20, THICKNESS)

@@ -119,7 +119,7 @@ class EdgeContact:
 
     @cached_property
     def share(self) -> FloatArray:
-        """Share in which points replace corners, shape (f,)."""
+        """Share of the corners' energy that the points replace, shape (f,)."""
         return 1 - np.exp(-((self.behind / CHANGE_MM) ** 2).sum(axis=1))
 
     @cached_property

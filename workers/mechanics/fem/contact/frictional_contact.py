@@ -100,7 +100,7 @@ class PlateFriction:
     def next_slip_origin(self, x: FloatArray, travel_mm: float) -> FloatArray:
         """Return the slip origin of the next step: node positions minus retained slip, (c, 3).
 
-        Short slips are kept in full, so that the number of steps hardly matters; of long ones
+        Short slips are kept in full, so that the number of steps hardly matters; of long slips
         `RESERVE_MM` is kept.
         """
         s = self.slip(x, travel_mm)

@@ -22,13 +22,13 @@ EDGE_RADIUS_MM = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Positions of the plates along the axis, in mm: the body fits in between."""
+    """Positions of the plates along the axis, in mm: the body is in between."""
 
     lower_mm: float
     upper_mm: float
 
     def closed_by(self, distance_mm: float, lower_share: float = 0.0) -> "Gap":
-        """Return the gap after the plates moved towards each other by `distance_mm`."""
+        """Return the gap after moving the plates towards each other by `distance_mm`."""
         return Gap(
             self.lower_mm + lower_share * distance_mm,
             self.upper_mm - (1 - lower_share) * distance_mm,
@@ -50,7 +50,7 @@ class Edge:
     start_mm: float
 
     def behind(self, x: FloatArray) -> FloatArray:
-        """Return the depth of points, (..., 3), behind the edge, (...) in mm; zero before it."""
+        """Return the depth of points, (..., 3), behind the edge, (...) in mm; zero in front."""
         return np.maximum(self.start_mm - x @ self.direction, 0.0)
 
 

@@ -239,9 +239,9 @@ def _known(problem: Problem, part: FloatArray) -> Iterator[tuple[Tissue, Constan
 
 
 def _check(model: LevelModel, problem: Problem) -> None:
-    """Refuse a mesh with a tissue that has no constants."""
+    """Raise InputError if a tissue in the mesh has no constants."""
     present = np.flatnonzero(model.fractions.sum(axis=0) > 0)
     tissues = [Tissue(int(t)) for t in present]
     missing = [t.name.lower() for t in tissues if t not in problem.constants]
     if missing:
-        raise InputError(f"The mesh contains {', '.join(missing)}, but no constants for it.")
+        raise InputError(f"The mesh contains {', '.join(missing)}, but no constants were given.")

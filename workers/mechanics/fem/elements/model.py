@@ -49,13 +49,13 @@ class LevelModel:
     nodes : ndarray, shape (n, 3)
     elements : Elements
     nodal_volumes : ndarray, shape (n,)
-        V_n, a quarter of the volume of each element around.
+        V_n, a quarter of the volume of the adjacent elements.
     fractions : ndarray, shape (m, tissues)
     wall : ndarray of int32, shape (w,)
     wall_areas : ndarray, shape (n,)
         Share of each node in the area of the chest wall, in mm^2.
     edge_mm : float
-        Mean size of an element, the cube root of six of its volume.
+        Mean size of an element, the cube root of six times its volume.
     contact_nodes : ContactNodes
     sheet : Sheet
     sheet_edge : ndarray of int32, shape (k, 3, 3)

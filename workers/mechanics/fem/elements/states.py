@@ -11,7 +11,7 @@ from palpate.workers.mechanics.fem.problem.loads import Device
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """History variables: dependences of an equilibrium other than positions and load.
+    """History variables, on which an equilibrium depends in addition to positions and load.
 
     Friction and follower pressure have no energy. These forces are held while an energy is
     minimised; `Level.update_history` updates them.
@@ -81,7 +81,7 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """Load at one stage of the loading.
+    """One stage of the loading.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Stage:
     force_n : float or None
         Force on the plates; None where they stay at `gap`.
     fraction : float
-        Fraction of gravity, forces, pressures and prescribed displacements.
+        Fraction of the full gravity, forces, pressures and prescribed displacements.
     device : Device
     """
 

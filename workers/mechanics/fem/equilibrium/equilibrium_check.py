@@ -23,7 +23,7 @@ ROUNDING_N = 1e-7
 def equilibrium_fault(
     level: Level, state: State, at: Energy, stage: Stage, force: FloatArray
 ) -> str:
-    """Return the reason why a state is not in equilibrium, with the figure; empty if it is.
+    """Return the reason why a state is not in equilibrium, with the residual; empty if it is.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def equilibrium_fault(
         else ("forces out of balance are", residual_n)
     )
     share = f"{size_n / load_n:.2g} of the load" if load_n > 0 else "without a load"
-    return f"not in equilibrium: {what} {size_n:.3g} N, {share}, {allowed:g} is allowed"
+    return f"not in equilibrium: {what} {size_n:.3g} N, {share}; {allowed:g} is allowed"
 
 
 def load_size_n(level: Level, state: State, at: Energy, stage: Stage, force: FloatArray) -> float:

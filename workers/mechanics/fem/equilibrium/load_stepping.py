@@ -99,7 +99,7 @@ class LoadStepping:
     levels: tuple[Level, ...]
 
     def run(self, neighbour: Sequence[ConvergedStage] | None = None) -> LoadPath:
-        """Load the body, from a neighbour's stages if they lead to the full load.
+        """Load the body, from a similar problem's stages if they lead to the full load.
 
         See `Problem.restarts`. A body that collapses is solved with a barrier.
         """
@@ -167,7 +167,7 @@ class LoadStepping:
         return guarded and at_end and spent and not self.problem.load.device.friction
 
     def continue_from(self, neighbour: Sequence[ConvergedStage]) -> LoadPath | None:
-        """Run a neighbour's stages on the finest mesh only, starting from the neighbour's states.
+        """Run a similar problem's stages on the finest mesh only, starting from its states.
 
         Returns
         -------
@@ -268,7 +268,8 @@ class LoadStepping:
     ) -> State:
         """Return the initial state of level `k`, which has `begun` the stage.
 
-        This is the coarser solution, or its change since the stage `before` added to that stage.
+        This is the coarser solution, or `begun` plus the change of the coarser solution since the
+        stage `before`.
         """
         level = self.levels[k]
         if k == 0:

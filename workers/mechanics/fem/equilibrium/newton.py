@@ -112,9 +112,9 @@ def minimise(
 
     Friction and follower pressure are held. Converged when a full step moves no node by
     more than `tolerance_mm`. The default of `max_iterations` depends on the barrier. The first
-    step is solved to a relative residual of `forcing`: `TIGHTEST` for a start so near that this
-    step may be the last. If a body collapses and may be solved again with a barrier, the result
-    is the state with the smallest residual.
+    step is solved to a relative residual of `forcing`: `TIGHTEST` for a start so close that this
+    step may be the last. If a body collapses and may be solved again with a barrier, the result is
+    the state with the smallest residual.
     """
     if max_iterations is None:
         guarded = level.barrier is not None

@@ -1,10 +1,10 @@
-r"""Derivatives of an equilibrium for changes in the problem: one linear solve each.
+r"""Derivatives of an equilibrium with respect to changes in the problem, by one linear solve each.
 
 With the out-of-balance force R(x, phi) = 0 at an equilibrium,
 
 .. math:: K \, dx/d\phi = - \partial R / \partial \phi .
 
-The right side is a difference of two forces at the same positions, which costs no
+The right-hand side is a difference of two forces at the same positions, which costs no
 solve. Where friction or follower pressure act, their non-symmetric derivative in x is
 added; see `coupled_tangent`. With friction, the slip of earlier load steps is held.
 """
@@ -122,7 +122,7 @@ def _refuse_unconverged(at: Equilibrium) -> None:
 def _solved(
     here: "_Linearisation", changes: Sequence[Change], tolerance: float
 ) -> tuple[list["_RightSide"], FloatArray]:
-    """Return the right side of each change, and the nodes' response, (k, n, 3)."""
+    """Return the right-hand side of each change, and the nodes' response, (k, n, 3)."""
     right, at = [here.right_side(change) for change in changes], here.at
     if at.levels[-1].is_conservative(at.states[-1]):
         solutions = list(here.solve_symmetric(right, tolerance))
@@ -135,7 +135,7 @@ def _solved(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _RightSide:
-    """Right side of a linear solve.
+    """Right-hand side of a linear solve.
 
     Parameters
     ----------
@@ -230,7 +230,8 @@ class _Linearisation:
     def _model_of(self, problem: Problem) -> Model:
         """Return the stress-free model of another problem, which depends on the constants too.
 
-        If that problem has none, because the body can just carry its weight here, it is this one.
+        If that problem has none, because the body can barely carry its weight here, it is the
+        present model.
         """
         if not any(problem.imaged_gravity_g):
             return self.at.imaged
@@ -329,7 +330,7 @@ class _Linearisation:
         return found
 
     def solve_symmetric(self, right: Sequence[_RightSide], tolerance: float) -> FloatArray:
-        """Solve for all right sides at once, shape (k, n, 3)."""
+        """Solve for all right-hand sides at once, shape (k, n, 3)."""
         t = self.tangent
         b = np.stack([r.force for r in right])
         if t.plate_stiffness > 0:

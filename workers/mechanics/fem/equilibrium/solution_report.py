@@ -51,7 +51,7 @@ def report(finest: Level, imaged: LevelModel, path: LoadPath) -> Solution:
 
 
 def _collapsed_tissue(model: LevelModel, state: State) -> str:
-    """Return a clause on squeezed elements and their main tissue, to follow a reason; or ""."""
+    """Return a clause on squeezed elements and their main tissue to append to a reason; or ""."""
     ratios = element_energy.volume_ratios(state.x, model.elements)
     collapsed = ratios < SQUEEZED_J
     if not collapsed.any():

@@ -58,7 +58,7 @@ class Equilibrium:
         return self.path[-1].solvers
 
     def expecting(self, moved_mm: FloatArray) -> "Equilibrium":
-        """Return a start for a problem whose nodes are about `moved_mm`, (n, 3), further.
+        """Return a start for a problem whose nodes move about `moved_mm`, (n, 3), further.
 
         `moved_mm` may be the tangents times a change in the problem. With several stages, whose
         paths are unknown, the equilibrium is returned unchanged.

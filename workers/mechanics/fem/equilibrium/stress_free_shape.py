@@ -1,8 +1,8 @@
 """Stress-free shape of a body imaged under gravity.
 
-Inverse fixed-point iteration (Rajagopal et al. 2007; Sellier 2011): load the present
-guess, and move it by the difference to the image. It does not depend on the loads, so the
-last shapes of a body are cached: its scans share them.
+Inverse fixed-point iteration (Rajagopal et al. 2007; Sellier 2011): load the current guess, and
+move it by its difference from the image. It does not depend on the loads, so the last shapes of a
+body are cached: its scans share them.
 """
 
 from dataclasses import dataclass, field, replace

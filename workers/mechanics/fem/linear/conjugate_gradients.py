@@ -68,7 +68,7 @@ class Operator(Protocol):
     """Tangent that multiplies and preconditions vectors of either shape."""
 
     def multiply(self, x: FloatArray, y: FloatArray) -> None:
-        """Set y = tangent times x, and the pressure of `x`."""
+        """Set y to the tangent times x, and set the pressure of `x`."""
 
     def precondition(self, b: Float32Array) -> Float32Array:
         """Solve approximately."""
@@ -190,5 +190,5 @@ def _dots(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _divided(a: FloatArray, b: FloatArray, where: BoolArray) -> FloatArray:
-    """Return a / b, or zero elsewhere."""
+    """Return a / b in the given lanes, zero in the others."""
     return np.divide(a, b, out=np.zeros_like(a), where=where)

@@ -62,7 +62,7 @@ def solve(multiply: Product, precondition: Product, b: FloatArray, tolerance: fl
 def _cycle(
     multiply: Product, precondition: Product, z: FloatArray, goal: float
 ) -> tuple[FloatArray, int, float]:
-    """Return a correction for the preconditioned residual `z`, directions used, and the rest.
+    """Return a correction for the residual `z`, the number of directions, and the residual left.
 
     Arnoldi's method with two passes of Gram-Schmidt; the least-squares problem of the Hessenberg
     matrix is small enough to solve afresh each time.

@@ -1,7 +1,7 @@
 """One mesh under one problem: energy, out-of-balance force and tangent at a state.
 
-A level is immutable: what depends on the way of the load, friction and follower
-pressure, is the `History` of a state, which goes in and comes back.
+A level is immutable: what depends on the load path, friction and follower pressure, is the
+`History` of a state, which is passed in and returned.
 """
 
 from dataclasses import dataclass, replace
@@ -46,14 +46,14 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 
 @dataclass(frozen=True, eq=False)
 class Energy:
-    """Energy of a state and what it came from.
+    """Energy of a state, with the quantities it was computed from.
 
     Parameters
     ----------
     elastic : float
         Stored in the body, its skin and its springs, in mJ.
     potential : float
-        What is least in equilibrium, in mJ.
+        Total potential energy, minimal in equilibrium, in mJ.
     nodal_volumes : ndarray, shape (n,)
     plate_contacts : tuple of PlateContact
         The lower and the upper plate.
@@ -110,7 +110,7 @@ class Level:
     nodal_bulk_mpa : ndarray, shape (n,)
         Bulk modulus kappa_n of the nodal average; zero with plain elements.
     springs : ndarray, shape (n, 3)
-        Stiffness of the springs that hold each node to its place, in N/mm.
+        Stiffness of the springs that hold each node in place, in N/mm.
     dead_load : ndarray, shape (n, 3)
         Gravity and forces that keep their direction, in N.
     free : ndarray of float32, shape (n, 3)
@@ -142,7 +142,7 @@ class Level:
         ----------
         model, problem : LevelModel and Problem
         similar : Level, optional
-            Of another problem; what both have in common is taken from it.
+            Level of another problem; common parts are taken from it.
 
         Raises
         ------
@@ -192,7 +192,7 @@ class Level:
         return np.where(self.free > 0, x, self.model.nodes + fraction * self.prescribed_mm)
 
     def begin_step(self, state: State, stage: Stage) -> State:
-        """Begin a step of the load at `state`: from here on slip counts."""
+        """Begin a load step at `state`, from which slip is measured."""
         coefficient = stage.device.friction
         if not coefficient:
             return state
@@ -206,7 +206,7 @@ class Level:
         return replace(state, history=replace(state.history, friction=friction))
 
     def update_history(self, state: State, stage: Stage) -> State:
-        """Bring friction and follower pressure up to the present positions."""
+        """Update friction and follower pressure to the current positions."""
         history = state.history
         if history.friction:
             contacts = self.plate_contacts(state, stage)
@@ -267,9 +267,9 @@ class Level:
     ) -> tuple[FloatArray, Tangent]:
         """Return the out-of-balance force, shape (n, 3) in N, and the tangent.
 
-        Both are zero where a displacement is prescribed, unless asked for `everywhere`.
-        With `convex` parts that may be negative are left out, with `positive` all of the
-        matrix and its fibres; see `assembly`.
+        Both are zero where a displacement is prescribed, unless computed `everywhere`. With
+        `convex`, parts that may be negative are left out; with `positive`, all such parts of the
+        matrix and its fibres are left out; see `assembly`.
         """
         m, g = self.model, self.model.graph
         free = np.ones_like(self.free) if everywhere else self.free

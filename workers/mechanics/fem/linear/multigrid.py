@@ -60,7 +60,7 @@ class LinearSolver(Protocol):
         """Solve approximately for one right-hand side, (n, 4), as well as possible at low cost."""
 
     def multiply(self, x: FloatArray, y: FloatArray) -> None:
-        """Set y = tangent times x, and the pressure of `x`."""
+        """Set y to the tangent times x, and set the pressure of `x`."""
 
 
 LinearSolverFactory = Callable[[Level, Tangent, Float32Array | None], LinearSolver]
@@ -130,7 +130,7 @@ class CholeskySolver:
         return x
 
     def multiply(self, x: FloatArray, y: FloatArray) -> None:
-        """Set y = tangent times x, and the pressure of `x`."""
+        """Set y to the tangent times x, and set the pressure of `x`."""
         self._packed.multiply(x, y)
 
     def _solve(self, b: FloatArray) -> FloatArray:
@@ -191,7 +191,7 @@ class Multigrid:
         return block_conjugate_gradients.solve_many(self, b, tolerance)
 
     def multiply(self, x: FloatArray, y: FloatArray) -> None:
-        """Set y = tangent times x, of one right-hand side or a block."""
+        """Set y to the tangent times x, for one right-hand side or a block."""
         self._packed.multiply(x, y)
 
     def precondition(self, b: Float32Array) -> Float32Array:

@@ -31,13 +31,13 @@ class PackedTangent:
         np.multiply(x, self._free if x.ndim == 2 else self._free[:, :, None], out=y)
 
     def multiply(self, x: AnyFloatArray, y: AnyFloatArray) -> None:
-        """Set y = tangent times x, and the pressure of `x`."""
+        """Set y to the tangent times x, and set the pressure of `x`."""
         sparse_products.set_pressure(*self._matrix, x)
         sparse_products.multiply(*self._matrix, x, y)
         self._add_travel(-self._factor, x, y)
 
     def apply_block_jacobi(self, x: Float32Array, z: Float32Array) -> None:
-        """Set z = block Jacobi of x, both (n, 4)."""
+        """Set z to the block Jacobi product of x, both (n, 4)."""
         block_jacobi.apply_diagonal(self._inverse, x, z)
 
     def set_pressure(self, x: AnyFloatArray) -> None:
@@ -50,7 +50,7 @@ class PackedTangent:
         sparse_products.subtract_product(*self._matrix, x, r)
 
     def first_step(self, scale: np.float32, r: Float32Array, step: Float32Array) -> None:
-        """Set step = block Jacobi of `r`, scaled, with its pressure."""
+        """Set the step to the scaled block Jacobi product of `r`, with its pressure."""
         sparse_products.first_step(*self._matrix, self._inverse, scale, r, step)
 
     def smoothing_sweep(

@@ -1,4 +1,4 @@
-"""Input of the solver. Units mm, N, MPa."""
+"""Boundary value problems, the input of the solver. Units: mm, N, MPa."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Constants:
     stiffening : float
         c2 / mu of Yeoh's law, ``mu ((I1bar - 3) / 2 + c2/mu (I1bar - 3)^2)``, >= 0.
     density_t_per_mm3 : float
-        1e-9 is water.
+        Density; 1e-9 for water.
     law : Isochoric, optional
         Another law for the matrix instead of neo-Hooke's and Yeoh's. Young's modulus and
         Poisson's ratio then only determine the bulk modulus.
@@ -144,7 +144,7 @@ class Problem:
     attachments : tuple of Attachment
         Springs on patches of the boundary.
     variations : tuple of Gradient or Inclusion
-        Deviations of the stiffness from the tissue's.
+        Deviations of the stiffness from that of the tissue.
     gravity_g : tuple of float
         Body force in multiples of gravity.
     imaged_gravity_g : tuple of float
@@ -190,7 +190,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         if self.plain_elements and any(c.growth != 1 for c in self.constants.values()):
-            raise InputError("Plain elements do not grow; leave out plain_elements, or growth.")
+            raise InputError("Plain elements cannot grow; leave out plain_elements or growth.")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

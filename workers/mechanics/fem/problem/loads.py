@@ -61,7 +61,8 @@ class Device:
     def __post_init__(self) -> None:
         if not 0 <= self.lower_share <= 1:
             raise InputError(
-                f"The lower plate makes a share of the travel from 0 to 1, got {self.lower_share}."
+                "The lower plate's share of the travel must be from 0 to 1, got "
+                f"{self.lower_share}."
             )
         if not np.linalg.norm(np.cross(self.axis, (0.0, 0.0, 1.0))) > 1e-6:
             raise InputError(
@@ -245,7 +246,7 @@ class Attachment:
 
 
 def _check_plates(lower_mm: float, upper_mm: float) -> None:
-    """Refuse plates in the wrong order."""
+    """Raise InputError if the plates are in the wrong order."""
     if not upper_mm > lower_mm:
         raise InputError(
             f"The upper plate ({upper_mm:g} mm along the axis) must be above the lower one "

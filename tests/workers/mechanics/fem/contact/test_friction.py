@@ -91,7 +91,7 @@ def test_dragged_block_slips_on_both_plates(way):
         np.testing.assert_allclose(drag[at, 0], -way * mu * load[at], rtol=5e-3)
 
 
-def test_friction_hill():
+def test_pressure_forms_a_friction_hill():
     """Pressure rises from the edge of a thin strip as in the slab method.
 
     A strip of half width w and height h is squeezed by d, plane strain along z. With

@@ -97,7 +97,7 @@ def test_energy_of_a_covered_body_is_the_sum_over_its_faces(l):
     assert covered - bare == pytest.approx(exact, rel=1e-12)
 
 
-def test_inflated_skin_of_a_ball():
+def test_inflated_ball_with_skin_matches_the_closed_form():
     """Pull outwards by q on a ball with skin, of radius R.
 
     The ball dilates evenly, so q = kappa (l^3 - 1) + (2 mu t / R) (1/l - l^-7): its own

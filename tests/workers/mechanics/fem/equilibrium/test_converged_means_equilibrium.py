@@ -79,7 +79,7 @@ def test_every_converged_solution_is_in_equilibrium(seed: int) -> None:
     assert done
 
 
-def test_plates_at_a_distance_are_compared_with_their_forces() -> None:
+def test_imbalance_at_a_given_plate_distance_is_small_relative_to_the_force() -> None:
     constants = {Tissue.FAT: Constants(0.01, 0.49)}
     problem = Problem(constants, DistanceControl(-13.0, 13.0), wall=CLAMPED)
     found = equilibrium(MODEL, problem)

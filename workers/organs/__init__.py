@@ -1,1 +1,1 @@
-"""What is special to one organ."""
+"""Organs, each with its own models, checks and file keys."""

@@ -39,7 +39,7 @@ class Nuisance:
 
     @property
     def free(self) -> FreeParameter:
-        """Return the parameter as a request for derivatives names it."""
+        """Return the parameter in the form used to request derivatives."""
         return {"name": self.name, "lower": self.lower, "upper": self.upper}
 
 

@@ -35,7 +35,7 @@ Model = TypeVar("Model")
 
 
 class Outcome(Protocol):
-    """How a simulation has ended."""
+    """The outcome of a simulation."""
 
     @property
     def converged(self) -> bool:
@@ -43,14 +43,14 @@ class Outcome(Protocol):
 
     @property
     def reason(self) -> str:
-        """Why it diverged; empty when it converged."""
+        """Why it diverged; empty if it converged."""
 
     def as_dict(self) -> Facts:
         """Return the outcome as plain values, units in their names."""
 
 
 class Solution(Protocol):
-    """A displacement and how it was reached."""
+    """A displacement and the outcome of its simulation."""
 
     @property
     def displacement_mm(self) -> FloatArray:
@@ -58,7 +58,7 @@ class Solution(Protocol):
 
     @property
     def outcome(self) -> Outcome:
-        """How the simulation has ended."""
+        """The outcome of the simulation."""
 
 
 class Score(Protocol):
@@ -69,7 +69,7 @@ class Score(Protocol):
 
 
 class Scorer(Protocol[Compared]):
-    """Compares bodies with one target."""
+    """A comparison of bodies with one target."""
 
     def score(self, body: Compared, /) -> Score:
         """Compare a body with the target."""
@@ -119,7 +119,7 @@ class Organ(Protocol[Body, Mesh, Model]):
 
     @property
     def name(self) -> str:
-        """The name that a case states under ``organ``."""
+        """The name given under ``organ`` in a case."""
 
     @property
     def picture_labels(self) -> Mapping[int, str]:
@@ -164,7 +164,7 @@ class Organ(Protocol[Body, Mesh, Model]):
         Raises
         ------
         InputError
-            If it cannot be meshed as the case states.
+            If it cannot be meshed as the case requires.
         """
 
     def mesh_to_arrays(self, mesh: Mesh) -> Arrays:
@@ -252,7 +252,7 @@ class DifferentiableOrgan(Protocol):
         target_landmarks: Any | None,
         observation: Any,
     ) -> Fitted:
-        """Deform the body, and differentiate its residuals by the free parameters.
+        """Deform the body, and differentiate its residuals with respect to the free parameters.
 
         The displacement equals the result of `Organ.solve` for the same problem.
         """
@@ -287,7 +287,7 @@ class StoredOrgan(Protocol):
         """Return the name of the stored body, or None if the body has to be made."""
 
     def adapt_stored(self, body: Any, spec: Door) -> Any | None:
-        """Return a stored body as `spec` describes it; None if it is taken as it is.
+        """Return a stored body as `spec` describes it; None if it is used unchanged.
 
         Raises
         ------
@@ -301,7 +301,7 @@ class CheckingOrgan(Protocol):
     """An organ that checks a body after meshing."""
 
     def check(self, case: Any, body: Any, mesh_facts: Mapping[str, Any]) -> None:
-        """Check that the body of a case can be modelled as stated.
+        """Check that the body of a case can be modelled as specified.
 
         Raises
         ------

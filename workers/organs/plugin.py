@@ -2,7 +2,7 @@
 
 A distribution offers it as an entry point of the group ``palpate.organs``. All that is large is
 named as ``"module:attribute"`` and imported when it is first used, so no result depends on the
-code of another organ, and no evaluation on how a study is checked or reported.
+code of another organ, and no evaluation depends on how a study is checked or reported.
 """
 
 from collections.abc import Mapping
@@ -19,10 +19,10 @@ class Fact:
     ----------
     label : str
     key : str
-        In what `Organ.facts` returns.
+        Key in the result of `Organ.facts`.
     unit : str
     factor : float
-        From the value to what is shown, such as 100 for a share in per cent.
+        Ratio of the displayed number to the value, such as 100 for a share in per cent.
     """
 
     label: str
@@ -38,7 +38,7 @@ class OrganPlugin:
     Parameters
     ----------
     name : str
-        What a case states under ``organ``.
+        The name given under ``organ`` in a case.
     spec : str
         The `workers.organs.organ_spec.OrganSpec`.
     organ : str

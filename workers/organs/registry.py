@@ -35,7 +35,7 @@ class Findings(Protocol):
         body: Any | None = None,
         free: Sequence[FreeParameter] = (),
     ) -> dict[str, Any]:
-        """Return the findings of a fitted body as plain values; maybe nothing.
+        """Return the findings of a fitted body as plain values; may be empty.
 
         ``notes`` are sentences for a reader, ``numbers`` belong to them, ``derived`` are values
         that follow from the constants, ``against`` are the reasons not to quote constants.
@@ -44,7 +44,7 @@ class Findings(Protocol):
     def figures(
         self, spec: Any, bodies: Sequence[Any], findings: Mapping[str, Any]
     ) -> Iterable[tuple["Figure", str]]:
-        """Return figures of a study, each with its caption; of bodies some may be None."""
+        """Return figures of a study, each with its caption; some of the bodies may be None."""
 
 
 def organ_names() -> tuple[str, ...]:

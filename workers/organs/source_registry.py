@@ -126,9 +126,9 @@ def _source_class(kind: str) -> str:
     kinds = source_kinds()
     if kind not in kinds:
         raise StoreError(
-            f"The store holds a source of the kind {kind!r}, this version knows "
-            f"{', '.join(kinds)}: other versions of Palpate share it. `palpate doctor` shows "
-            "which."
+            f"The store holds a source of the kind {kind!r}, but this version knows only "
+            f"{', '.join(kinds)}: other versions of Palpate share the store. `palpate doctor` "
+            "shows which."
         )
     return kinds[kind]
 

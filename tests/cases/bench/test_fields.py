@@ -112,7 +112,7 @@ def test_region_moves_along_measured_axes_only(tmp_path):
         "states": [data["states"][0] | {"moves": moves, "forces": []}],
     }
     path = experiment(tmp_path, head=HEAD[:-1], **changes)
-    with pytest.raises(InputError, match="region end moves as was measured, but uz_mm was not"):
+    with pytest.raises(InputError, match="region end moves as measured, but uz_mm was not"):
         read_experiment(path)
     moves[0]["axes"] = ["x", "y"]
     source = read_experiment(experiment(tmp_path, head=HEAD[:-1], **changes))

@@ -176,7 +176,7 @@ def test_rejects_metres_in_a_table_of_millimetres(tmp_path):
     with pytest.raises(InputError, match=r"span 0\.02 mm, but the body is 30 x 30 x 60 mm.*metres"):
         observed(tmp_path, markers=markers)
     far = {n: {"at_mm": [10 * c for c in at]} for n, at in MARKERS.items()}
-    with pytest.raises(InputError, match="points are outside of the body"):
+    with pytest.raises(InputError, match="points are outside the body"):
         observed(tmp_path, markers=described()["markers"] | {"markers": far})
 
 
@@ -193,6 +193,6 @@ def test_repeats_far_above_the_stated_noise_need_a_confirmation(tmp_path):
 def test_warns_of_constants_outside_or_at_the_end_of_an_interval(tmp_path):
     spec = read_experiment(written(tmp_path)).spec
     (text,) = outside_intervals(spec, {"E": 9.393})
-    assert text.startswith("E is outside of its stated interval: 9.39e+03 kPa, stated 50 to 800")
+    assert text.startswith("E is outside its interval: 9.39e+03 kPa, stated 50 to 800")
     assert outside_intervals(spec, {"E": 0.05})[0].startswith("E is at the end of its interval")
     assert outside_intervals(spec, {"E": 0.2}) == ()

@@ -105,7 +105,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "no place": (
         lambda v: replace(v, place_known=False),
-        "pressed.nrrd does not state where the body is",
+        "pressed.nrrd does not give the body's position",
     ),
 }
 

@@ -140,7 +140,7 @@ def test_defaults_are_shown_before_a_diagnosis_runs() -> None:
     file = CaseFile.model_validate(filled("diagnosis", required("diagnosis", 40.0)))
     rows = dict(understood(file))
     assert rows["segmentation noise"] == (
-        "not stated: 0.5 voxels, correlated over 4 mm, in all scans"
+        "not given: 0.5 voxels, correlated over 4 mm, in all scans"
     )
     assert rows["chest wall"] == (
         "where the body at rest begins, held along z, slides along x and y"

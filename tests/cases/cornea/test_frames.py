@@ -107,9 +107,9 @@ def test_measures_radius_thickness_and_width(tmp_path: Path) -> None:
 
 def test_names_the_scale_of_frames_exported_at_half_size(tmp_path: Path) -> None:
     first, second = findings(tmp_path, resized(REST, 0.5), resized(DENTED, 0.5))
-    assert "radius of the anterior surface is 3.9 mm (of a cornea: 6 to 10 mm)" in first.text
-    assert "the central thickness is 0.302 mm (of a cornea: 0.4 to 0.75 mm)" in first.text
-    assert "the width shown is 4.48 mm (of a cornea: 6 to 14 mm)" in first.text
+    assert "radius of the anterior surface is 3.9 mm (usual for a cornea: 6 to 10 mm)" in first.text
+    assert "the central thickness is 0.302 mm (usual for a cornea: 0.4 to 0.75 mm)" in first.text
+    assert "the width shown is 4.48 mm (usual for a cornea: 6 to 14 mm)" in first.text
     for one in (first, second):
         assert one.severity == "implausible"
         assert "exported at 0.5 times its size: set pixel_mm to [0.03125, 0.033]" in one.text
@@ -161,7 +161,7 @@ def test_refuses_frames_upside_down(tmp_path: Path) -> None:
 
 
 def test_names_a_picture_that_is_turned_by_90_degrees(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"rest\.png.*is turned by 90 degrees"):
+    with pytest.raises(InputError, match=r"rest\.png.*is rotated by 90 degrees"):
         findings(tmp_path, np.rot90(REST).copy(), np.rot90(DENTED).copy())
 
 
@@ -220,7 +220,7 @@ def test_refuses_text_on_the_surface(tmp_path: Path) -> None:
 
     refusal = only(findings(tmp_path, painted(REST, text)))
     assert "the anterior surface deviates by 0.1" in refusal
-    assert "full brightness, as of a reflection or text (columns 347 to 359" in refusal
+    assert "full brightness, such as a reflection or text (columns 347 to 359" in refusal
 
 
 def test_warns_of_a_motion_of_the_whole_eye(tmp_path: Path) -> None:

@@ -328,7 +328,7 @@ class TestCases:
 
         found = self.images(tmp_path, volumes_of(tmp_path / "store"))("rest")
         np.testing.assert_array_equal(found.values, np.array([0, 1, 2, 1], np.uint8)[volume.values])
-        with pytest.raises(InputError, match="names other, which is not in the folder and not"):
+        with pytest.raises(InputError, match="names other, which is neither in the folder nor"):
             self.images(tmp_path, volumes_of(tmp_path / "store"))("other")
         with pytest.raises(InputError, match="spacing and axes are known"):
             self.images(tmp_path, volumes_of(tmp_path / "store"), axes="L S A")("rest")

@@ -80,5 +80,5 @@ def test_a_constant_without_a_value_is_refused(both_ways: Path, tmp_path: Path) 
     said = described(PRESSED[1:])
     del said["constants"]["E_fat_kpa"]
     write_settings(tmp_path, said)
-    with pytest.raises(InputError, match="no value of E_fat"):
+    with pytest.raises(InputError, match="no value for E_fat"):
         _ = read_case(tmp_path).free

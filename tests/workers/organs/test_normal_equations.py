@@ -13,7 +13,7 @@ def huber(e: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("robust", [False, True])
-def test_cost_is_the_least_over_the_common_error_and_its_derivative_is_twice_the_gradient(
+def test_cost_is_the_minimum_over_the_common_error_and_its_derivative_is_twice_the_gradient(
     robust: bool,
 ) -> None:
     rng = np.random.default_rng(2)
@@ -35,7 +35,7 @@ def test_cost_is_the_least_over_the_common_error_and_its_derivative_is_twice_the
         assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(2 * found.gradient[i], rel=1e-4)
 
 
-def test_the_hessian_is_that_of_a_covariance_with_the_common_error() -> None:
+def test_the_hessian_includes_the_common_error_in_the_covariance() -> None:
     """Without robustness, J' (1 + B B')^-1 J (M. Woodbury 1950)."""
     rng = np.random.default_rng(3)
     jacobian, common = rng.normal(size=(60, 4)), rng.normal(size=(60, 2))

@@ -1,9 +1,9 @@
-"""Default physics of a breast, for every study, diagnosis and plan that states no other.
+"""Default physics of a breast, for every study, diagnosis and plan that specifies no other.
 
-A blind set states its law in its files and has no defaults.
+A blind set gives its law in its files and has no defaults.
 
 The fibres depend on their full stretch, ``I4``, as in the published law and in every study so far;
-the isochoric part, ``I4bar``, has to be stated.
+the isochoric part, ``I4bar``, must be specified.
 """
 
 from typing import Literal

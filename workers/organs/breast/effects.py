@@ -116,7 +116,7 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
 
 
 # Nuisance parameters of a study: its intervals allow for parameters that it does not search.
-LAW, VARIATION = "the law of the tissue", "the evenness of the stiffness"
+LAW, VARIATION = "the law of the tissue", "the uniformity of the stiffness"
 NUISANCES: tuple[NuisanceEffect, ...] = (
     NuisanceEffect(COMPRESSIBILITY, LAW),
     NuisanceEffect(STIFFENING, LAW),

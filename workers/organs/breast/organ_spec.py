@@ -7,7 +7,7 @@ from palpate.workers.organs.organ_spec import OrganSpec
 
 
 def nuisances(case: BreastCase, imaged: bool) -> tuple[Nuisance, ...]:
-    """Return the nuisance parameters of a case not replaced by its laws; see `OrganSpec`."""
+    """Return the nuisance parameters of a case that its laws do not replace; see `OrganSpec`."""
     present = {"model"}
     if imaged:
         present |= {"image"} if case.load.force_n is None else {"image", "force"}

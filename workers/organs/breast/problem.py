@@ -1,6 +1,6 @@
 """Forward problem of a breast: its materials, their constants, and compression by two plates.
 
-Ligaments behave as fat (thesis section 4.5); so does muscle, unless its own constants are stated,
+Ligaments behave as fat (thesis section 4.5); so does muscle, unless its own constants are given,
 and it always uses the law of fat. Skin is fat (``none``), fat under a membrane (``membrane``), or a
 separate tissue in the mesh (``layer``). Fibres run from chest wall to nipple, along z.
 """

@@ -60,7 +60,7 @@ TissueName = Annotated[
 
 
 def _known_constants(given: Mapping[str, float]) -> None:
-    """Refuse unknown names and values; the case checks that the law of a shape constant is used."""
+    """Reject unknown names and values; the case checks that the law of a shape constant is used."""
     BREAST_MODEL.extended_by(shape_constants(given)).from_door(given)
 
 
@@ -321,7 +321,7 @@ class BreastCase(CaseSpec):
     model
         Law of the tissue, and the skin.
     load
-        Compression. Default: a force of 100 N; a study of images must state it.
+        Compression. Default: a force of 100 N; a study of images must give it.
     """
 
     law_tissues: ClassVar[tuple[str, ...]] = LAW_TISSUES

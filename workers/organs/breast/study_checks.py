@@ -42,7 +42,7 @@ class BreastChecks:
         return type(self)(searched)
 
     def of_case(self, case: BreastCase) -> Iterator[Finding]:
-        """Check that a phantom can be meshed with the stated number of nodes."""
+        """Check that a phantom can be meshed with the given number of nodes."""
         phantom = case.reference.phantom
         if phantom is None or case.mesh.nodes is None:
             return

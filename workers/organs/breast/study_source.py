@@ -58,7 +58,7 @@ LEAST_PART = 0.02
 
 @dataclass(frozen=True, eq=False)
 class StudyPieces:
-    """Statements and stored volumes of a study.
+    """Settings and stored volumes of a study.
 
     Parameters
     ----------

@@ -138,8 +138,8 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
     _effect(
         "jet_off_centre",
         "loading",
-        "The jet hits the cornea at a different position from the model.",
-        (two_sided("jet_offset", MM, 0.6, "position of the jet, relative to the stated one"),),
+        "The jet hits the cornea at a different position than in the model.",
+        (two_sided("jet_offset", MM, 0.6, "position of the jet, relative to the stated position"),),
         (0.2,),
         _of_load(lambda load, v: replace(load, jet_centre_mm=load.jet_centre_mm + v["jet_offset"])),
         searched_as=("jet_centre",),
@@ -206,7 +206,11 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         "iop_error",
         "loading",
         "The intraocular pressure differs from the measured one.",
-        (two_sided("iop_difference", MMHG, 8.0 * _ONE_MMHG, "pressure beyond the stated one"),),
+        (
+            two_sided(
+                "iop_difference", MMHG, 8.0 * _ONE_MMHG, "pressure in excess of the stated one"
+            ),
+        ),
         (2.0 * _ONE_MMHG,),
         _of_load(
             lambda load, v: replace(load, iop_mpa=max(0.0, load.iop_mpa + v["iop_difference"]))
@@ -270,7 +274,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         "thickness_error",
         "observation",
         "The cornea is thicker or thinner than it appears in both images.",
-        (two_sided("thickness_difference", MM, 0.1, "thickness beyond the apparent one"),),
+        (two_sided("thickness_difference", MM, 0.1, "thickness in excess of the apparent one"),),
         (0.02,),
         _of_candidate(lambda c, v: thickened(c, v["thickness_difference"])),
     ),
@@ -281,7 +285,12 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
         "through the outer one.",
         (
             two_sided("posterior_shift", MM, 0.2, "excess of the apparent thickness when deformed"),
-            two_sided("posterior_bow", MM, 0.2, "the same in the middle, none at the edges"),
+            two_sided(
+                "posterior_bow",
+                MM,
+                0.2,
+                "excess of the apparent thickness in the middle, none at the edges",
+            ),
         ),
         (0.03, 0.05),
         unchanged,
@@ -306,7 +315,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
                 "plane_strain_share",
                 NUMBER,
                 1.0,
-                "part of the way to plane strain",
+                "fraction of the way to plane strain",
                 reading=percent("% of the way to plane strain"),
             ),
         ),
@@ -323,7 +332,7 @@ CORNEA_EFFECTS: tuple[Effect, ...] = (
                 "carried_share",
                 NUMBER,
                 1.0,
-                "part of the way to a carried prestretch",
+                "fraction of the way to a carried prestretch",
                 reading=percent("% of the way to a carried prestretch"),
             ),
         ),

@@ -76,8 +76,8 @@ def _raster(rest: Imaged, pressed: Imaged) -> Iterator[Finding]:
         yield Finding(
             "implausible",
             f"{rest.file.name} and {pressed.file.name} have {counts}, which are {widths[0]:.2f} "
-            f"and {widths[1]:.2f} mm ({stated}); frames of one camera are equally wide. If the "
-            f"target was exported at another size, its pixels are {factor:.6g} mm wide.",
+            f"and {widths[1]:.2f} mm wide ({stated}); frames of one camera are equally wide. If "
+            f"the target was exported at another size, its pixels are {factor:.6g} mm wide.",
         )
 
 

@@ -106,7 +106,7 @@ class MeshSpec(Door):
 class ModelSpec(Door):
     """The model of a section; see `workers.organs.cornea.material.model`.
 
-    Exchanging two terms of the law does not change the cornea. ``order_terms_by`` is the
+    Swapping two terms of the law does not change the cornea. ``order_terms_by`` is the
     constant by which they are sorted, smallest first, before simulation and report.
 
     Parameters
@@ -186,7 +186,7 @@ class JetSpec(Door):
 
     @property
     def pressure_mpa(self) -> float:
-        """Return the pressure, whichever unit it is stated in."""
+        """Return the pressure, whichever unit it is given in."""
         if self.pressure_kpa is not None:
             return self.pressure_kpa / 1000
         return MPA_PER_MMHG * (self.pressure_mmhg or 0.0)
@@ -274,7 +274,7 @@ class CorneaCase(CaseSpec):
         """See `CaseSpec.complete`; pressures and jet are taken from the load.
 
         The terms of the law are in the model's order. If some constants of the law are given
-        here and others are held, only terms given here in full are exchanged: a name then refers
+        here and others are held, only terms given here in full are swapped: a name then refers
         to the same constant throughout a search.
         """
         jet = self.load.jet

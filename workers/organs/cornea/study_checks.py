@@ -42,7 +42,7 @@ class CorneaChecks:
     def before_bodies(
         self, case: CorneaCase, target: CorneaTarget, score: CorneaScore
     ) -> Iterator[Finding]:
-        """Check nothing: the model of the file has already refused contradictions."""
+        """Check nothing: the model of the file has already rejected contradictions."""
         yield from ()
 
     def of_bodies(
@@ -87,5 +87,5 @@ def _stated(key: str, value: float, usual: Range) -> Iterator[Finding]:
     if value not in usual:
         yield Finding(
             "implausible",
-            f"{key} is {value:g} {usual.unit}; {usual.what} is {usual}. State it in {usual.unit}.",
+            f"{key} is {value:g} {usual.unit}; {usual.what} is {usual}. Give it in {usual.unit}.",
         )

@@ -163,7 +163,7 @@ def arms(
     Raises
     ------
     InputError
-        If a point is on an edge and has no stated direction.
+        If a point is on an edge and has no given direction.
     """
     triangles = boundary_triangles(mesh.tets)
     normals = outward_normals(mesh.nodes, triangles, feet_mm, outward, names)

@@ -19,14 +19,14 @@ GRADIENT = replace(
     STIFFNESS_GRADIENT, summary="The material is stiffer at one end of the body than at the other."
 )
 RELAXED = replace(
-    CREEP, summary="The material has crept under its load since its stiffness was assumed."
+    CREEP, summary="The material has crept under its load and is softer than assumed."
 )
 
 # Known or possible causes that have no effect here; a diagnosis will report "none of these" or
 # the closest listed effect.
 NOT_SIMULATED: tuple[tuple[str, str], ...] = (
     ("layers and inclusions", "each material is uniform in its part of the body"),
-    ("fibres", "the law of the material has no direction"),
+    ("fibres", "the law of the material is isotropic"),
     ("stress at rest", "the body is free of stress in the shape that the file describes"),
     ("friction", "held or loaded regions do not slide on a support"),
 )

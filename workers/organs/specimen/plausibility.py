@@ -69,7 +69,7 @@ def _outside(observed: Observed, low_mm: FloatArray, high_mm: FloatArray) -> str
     if away[worst] <= limit:
         return ""
     return (
-        f"{int((away > limit).sum())} of {len(points)} points are outside of the body, "
+        f"{int((away > limit).sum())} of {len(points)} points are outside the body, "
         f"{observed.names[worst]} by {away[worst]:.4g} mm; the body reaches from "
         f"{_corner(low_mm)} to {_corner(high_mm)} mm. Give positions in mm in the frame of the "
         "body, and check mm_per_unit of a mesh file."
@@ -152,7 +152,7 @@ def _beyond(name: str, value: float, interval: tuple[float, float], unit: str) -
     if low < value < high:
         return ""
     return (
-        f"{name} is outside of its stated interval: {value:.3g}{unit}, stated {within}. Check "
+        f"{name} is outside its interval: {value:.3g}{unit}, stated {within}. Check "
         "units and loads, and do not rely on this value."
     )
 

@@ -28,8 +28,8 @@ class Prediction:
         Name of the state.
     moved_mm, sd_mm : ndarray, shape (m,)
         In the frame of the body. The standard deviation combines the uncertainty of the fitted
-        parameters and the unexplained residual, see `unexplained_sd`; the noise of a new
-        recording comes on top.
+        parameters and the unexplained residual, see `unexplained_sd`; the noise of a new recording
+        is not included.
     force_mm, force_sd_mm : ndarray, shape (c,)
         Predicted readings of the load cells, as displacements, with standard deviations.
     """
@@ -88,7 +88,7 @@ def unexplained_sd(inverse: InverseProblem, fit: Fit) -> FloatArray:
 
 
 def unexplained_at(inverse: InverseProblem, fit: Fit, moved: FloatArray) -> FloatArray:
-    """Return the standard deviation of what a fit leaves unexplained in another state, (m,).
+    """Return the standard deviation of the unexplained residual in another state, (m,).
 
     The error of a wrong model is assumed to grow at least in proportion to the displacement. If
     the fitted states differ in size, residuals that change with it are extrapolated, as

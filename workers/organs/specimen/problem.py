@@ -65,7 +65,7 @@ def region_of(region: RegionSpec) -> Box | OutsideCircle:
         circle = region.outside_circle_mm
         return OutsideCircle(circle.centre, circle.radius)
     if region.plane is None:
-        raise AssertionError("a region is a box, a plane or outside of a circle")
+        raise AssertionError("a region is a box, a plane or outside a circle")
     axis = AXES.index(region.plane.axis)
     lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
     lower[axis], upper[axis] = region.plane.at_mm - NEAR_MM, region.plane.at_mm + NEAR_MM

@@ -200,7 +200,7 @@ class SpecimenSource:
         return ()
 
     def check(self) -> None:
-        """Refuse an experiment that is not plausible.
+        """Reject an experiment that is not plausible.
 
         Raises
         ------

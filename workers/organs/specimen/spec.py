@@ -36,7 +36,7 @@ class SheetSpec(Door):
     """A thin sheet such as skin or a membrane, flat at z = 0 and free on both faces.
 
     It resists stretching but not bending, and does not wrinkle. Its material may follow any law.
-    The data determine E times the thickness, so an error of the thickness is one of E.
+    The data determine E times the thickness, so an error in the thickness becomes an error in E.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class CircleSpec(Door):
 
 
 class RegionSpec(Door):
-    """A region of the body: a box, a plane or everything outside of a circle.
+    """A region of the body: a box, a plane or everything outside a circle.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class MaterialSpec(Door):
     """A material: its law, stiffness, Poisson's ratio and density.
 
     ``E_kpa`` is the interval in which Young's modulus is expected: a prior, which data may
-    overrule; a fit outside of it is reported. ``nu`` is a number, or an interval that bounds the
+    overrule; a fit outside it is reported. ``nu`` is a number, or an interval that bounds the
     fit. ``constants`` are shape constants of the law: fixed, such as ``yeoh_c2: 0.5``, or fitted
     with an expected interval, such as ``yeoh_c2: [0.1, 2]``. A constant that is not listed has its
     neo-Hookean value, mostly 0.

@@ -37,7 +37,7 @@ def outward_normals(
     Raises
     ------
     InputError
-        If a point on an edge, where the surface has no normal, has no stated direction.
+        If a point on an edge, where the surface has no normal, has no given direction.
     """
     corners = nodes[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

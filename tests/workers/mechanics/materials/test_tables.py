@@ -128,7 +128,7 @@ def test_brain_is_stiffer_in_compression(region):
 
 
 def test_one_mode_does_not_determine_five_constants():
-    """Five constants fitted in tension alone miss the sheet test; fitted to all tests, they match it."""
+    """Five constants fitted in tension alone miss the sheet test; fitted to all, they do not."""
     tension, sheet, _ = tables = rubber("Treloar_1944")
     family: Family = FAMILIES["mooney-rivlin-5"]
     alone, together = fit(family, [tension]), fit(family, tables)

@@ -60,7 +60,7 @@ def test_points_below_the_wall_are_found_on_the_skin(case: ScannedCase) -> None:
 
 
 def test_scan_at_rest_is_cut_at_the_wall(tmp_path: Path) -> None:
-    """Its segmentation may extend below the wall, whose position is stated in the case."""
+    """Its segmentation may extend below the wall, whose position is given in the case."""
     folder = write_case(tmp_path / "spilled")
     clean = read_case(folder)
     rest = clean.reference

@@ -1,4 +1,4 @@
-"""Scans that cannot be one body under these loads are refused before anything is fitted."""
+"""Scans that cannot show one body under these loads are rejected before anything is fitted."""
 
 import shutil
 from collections.abc import Callable
@@ -77,9 +77,9 @@ WRONG: dict[str, tuple[Change, str]] = {
     "another body": (with_voxels((1.6, 1.6, 1.6)), "Check that both scans show the same body"),
     "elsewhere": (moved, "overlap in 0% of their volume, expected at least 10%"),
     "mirrored": (mirrored, f"{SCANS[2]} looks like a mirror image of {SCANS[0]}"),
-    "loads": (loads_exchanged, "Exchange the two files, or their forces"),
-    "labels of one": (labels_exchanged(SCANS[1]), f"Exchange labels 1 and 2 in {SCANS[1]}"),
-    "labels of all": (labels_exchanged(*SCANS), "exchange the labels in all scans"),
+    "loads": (loads_exchanged, "Swap the two files, or their forces"),
+    "labels of one": (labels_exchanged(SCANS[1]), f"Swap labels 1 and 2 in {SCANS[1]}"),
+    "labels of all": (labels_exchanged(*SCANS), "swap the labels in all scans"),
     "gland behind the wall": (gland_below_the_wall, f"{SCANS[1]} has no voxel labelled glandular"),
 }
 
@@ -100,7 +100,7 @@ def test_rejects_scans_of_different_bodies(copied: Path, change: Change, said: s
         check_case(read_case(copied))
 
 
-def test_symmetric_sides_are_no_mirror_image(copied: Path) -> None:
+def test_symmetric_sides_are_not_a_mirror_image(copied: Path) -> None:
     for file in SCANS:
         labels = scan(copied, file)
         half = labels.values[:, :, : labels.shape_xyz[0] // 2]
@@ -112,7 +112,7 @@ def test_symmetric_sides_are_no_mirror_image(copied: Path) -> None:
 
 
 def test_a_body_may_bulge_behind_the_edge_of_the_plates(copied: Path) -> None:
-    """Its first slices are then thicker under the larger force than all others ever were."""
+    """Its first slices are then thicker under the larger force than any other slice."""
     for file, extra in zip(SCANS[1:], (4, 12), strict=False):
         labels = scan(copied, file)
         values = np.pad(labels.values, ((0, 0), (extra, 0), (0, 0)))

@@ -115,13 +115,13 @@ def test_rejects_invalid_values(path: str, value: Any, message: str) -> None:
     ("path", "message"),
     [
         ("name", "name: this key is missing"),
-        ("constants.eta_fat_kpa", "no value of eta_fat_kpa"),
+        ("constants.eta_fat_kpa", "no value for eta_fat_kpa"),
         ("noise.sd_mm", "noise.sd_mm: this key is missing"),
         ("scans.reference", "scans.reference: this key is missing"),
         ("scans.loads.0.force_n", "exactly one of force_n and plate_distance_mm, found neither"),
     ],
 )
-def test_a_required_key_that_is_left_out_is_missing(path: str, message: str) -> None:
+def test_reports_missing_required_keys(path: str, message: str) -> None:
     with pytest.raises(InputError, match=r"case\.yaml is not finished") as refused:
         validated(CaseFile, changed(path, None), "case.yaml")
     assert message in str(refused.value)
@@ -137,12 +137,12 @@ def test_each_tissue_may_have_fibres_of_its_own() -> None:
 
 
 @pytest.mark.parametrize("path", ["wall", "plates", "noise"])
-def test_values_shown_by_the_scans_are_optional(path: str) -> None:
+def test_values_available_from_the_scans_are_optional(path: str) -> None:
     case = validated(CaseFile, changed(path, None))
     assert getattr(case, path) in (None, CaseWall())
 
 
-def test_a_law_without_fibres_takes_none_of_their_keys() -> None:
+def test_a_law_without_fibres_rejects_their_keys() -> None:
     data = changed("model", {"law": "neo-hookean", "fibres": "literal"})
     with pytest.raises(InputError, match=r"fibres are for|are for fibres"):
         validated(CaseFile, data)

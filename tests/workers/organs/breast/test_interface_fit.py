@@ -67,7 +67,7 @@ def test_the_sum_of_squares_is_far_smaller_at_the_truth(breast: _Breast) -> None
 
 
 def test_three_steps_recover_the_moduli(breast: _Breast) -> None:
-    """From 25 % off; a target of the same mesh, so voxels are all that is lost."""
+    """From 25 % off; the target has the same mesh, so voxels are the only error."""
     z = np.log([1.25, 0.8, 0.8, 1.25])
     costs = []
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""The law of a breast's tissue: what files may say, and that its shape can be found."""
+"""The law of a breast's tissue: valid keys, and recovery of its shape."""
 
 from typing import Any
 
@@ -57,8 +57,8 @@ def test_unnamed_tissues_stay_neo_hookean() -> None:
     assert isinstance(laws[Tissue.GLANDULAR], Fung)
 
 
-def test_the_default_is_not_written() -> None:
-    """So that the digests of older studies stay."""
+def test_the_default_law_is_not_written() -> None:
+    """So that the digests of older studies do not change."""
     assert "law" not in case_of("neo-hookean").model_dump(mode="json")["model"]
     assert case_of("neo-hookean").complete() == case_of({}).complete()
     kept = case_of("yeoh").model_dump(mode="json")
@@ -105,7 +105,7 @@ def test_shape_constants_are_searched_only_if_the_law_has_them() -> None:
     assert study_of({"fat": "fung"}, {"stiffening": [0, 1]}).free_parameters
 
 
-def test_scans_and_studies_state_laws_alike() -> None:
+def test_cases_and_studies_specify_laws_alike() -> None:
     file = scans_of("yeoh", yeoh_c2_fat=[0.1, 2])
     assert not file.has_fibres
     assert file.free["yeoh_c2_fat"] == (0.1, 2.0)

@@ -77,7 +77,7 @@ def test_a_record_has_the_names_and_the_digest_of_older_versions() -> None:
     assert validated(CaseFile, record) == validated(CaseFile, NEW)
 
 
-def test_a_record_states_poissons_ratio_even_where_the_file_does_not() -> None:
+def test_a_record_has_poissons_ratio_even_if_the_file_does_not() -> None:
     keys = deepcopy(NEW)
     del keys["constants"]["nu"]
     assert validated(CaseFile, keys).record["model"]["nu"] == 0.49

@@ -1,7 +1,7 @@
 """The cases of ../shared/reference/gap-open, made by FEBio with elements of another kind.
 
-They were looked at while the diagnosis was built, so they show that it works, not how
-often. The truth is read after the verdict.
+They were used while the diagnosis was developed, so they show that it works, not how often. The
+truth is read after the verdict.
 """
 
 import json
@@ -41,7 +41,7 @@ pytestmark = [
 
 @cache
 def truth_of(name: str) -> dict[str, Any]:
-    """What was made different, read after the verdict."""
+    """Return the hidden deviation of a case, read after the verdict."""
     spec: dict[str, Any] = json.loads((CASES / name / "truth.json").read_text())["spec"]
     return spec
 
@@ -60,7 +60,7 @@ def told_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Summary
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_cause_is_named(name: str, told_of: Callable[[str], Summary]) -> None:
+def test_the_verdict_names_the_cause(name: str, told_of: Callable[[str], Summary]) -> None:
     told = told_of(name)
     truth = truth_of(name)
     wanted = CALLED[truth["kind"]]

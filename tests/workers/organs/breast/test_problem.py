@@ -1,4 +1,4 @@
-"""Constants of each tissue and the place of the plates, by hand."""
+"""Constants of each tissue and positions of the plates, calculated by hand."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_ligaments_are_fat():
     assert (of[Tissue.GLANDULAR].young_mpa, of[Tissue.GLANDULAR].fibre_mpa) == (0.04, 0.15)
 
 
-def test_muscle_is_fat_unless_it_is_stated():
+def test_muscle_is_fat_unless_given_constants():
     assert problem().constants[Tissue.MUSCLE] == problem().constants[Tissue.FAT]
     stated = problem(E_muscle=0.06).constants
     assert stated[Tissue.MUSCLE].young_mpa == 0.06
@@ -74,7 +74,7 @@ def test_every_solid_tissue_has_constants():
     assert set(problem().constants) == set(Tissue) - {Tissue.AIR}
 
 
-def test_fibres_run_from_chest_wall_to_nipple_and_pull_only():
+def test_fibres_run_from_chest_wall_to_nipple_and_act_only_in_tension():
     assert problem().fibres.axis == (0, 0, 1)
     assert not problem().literal_fibre
     literal = problem_of(ModelSpec(fibres="literal"), FORCE, BREAST_MODEL.complete(), BODY)
@@ -113,7 +113,7 @@ def test_plates_end_centred_on_the_imaged_target():
     assert plates_of(load, (39.0, 167.0), target=(86.0, 152.0)) == DistanceControl(86.5, 151.5)
 
 
-def test_plates_end_at_stated_positions():
+def test_plates_end_at_given_positions():
     assert plates_of(distance(lower=3, upper=30), BODY, (5.0, 9.0)) == DistanceControl(3, 30)
 
 

@@ -28,7 +28,7 @@ NOISE = SegmentationNoise(0.4, 5.0, 0.4, 0.02)
 
 @pytest.fixture(scope="module")
 def twice(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A body segmented twice with an error of 0.4 mm, which case.yaml does not state."""
+    """A body segmented twice with an error of 0.4 mm, which case.yaml does not give."""
     folder = tmp_path_factory.mktemp("repeat")
     labels = generate_breast(PHANTOM, seed=5).labels
     for number, file in enumerate(("rest.nrrd", "again.nrrd", SCANS[1])):
@@ -40,7 +40,7 @@ def twice(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_noise_is_measured(twice: Path) -> None:
+def test_the_noise_is_measured_from_the_repeat(twice: Path) -> None:
     found = read_case(twice).noise
     assert found.sd_mm == pytest.approx(0.4, rel=0.2)
     assert found.correlation_mm == pytest.approx(5.0, rel=0.25)

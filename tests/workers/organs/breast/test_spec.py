@@ -164,12 +164,12 @@ def test_reports_all_unknown_keys_at_once():
 
 
 @pytest.mark.parametrize("found", [{}, {"nodes": 500, "element_size_mm": 5}])
-def test_a_mesh_has_one_measure(found):
+def test_a_mesh_needs_exactly_one_size(found):
     assert "exactly one of nodes and element_size_mm" in refusal(MeshSpec, found)
 
 
 @pytest.mark.parametrize("found", [{}, {"force_n": 100, "plate_distance_mm": {"final": 60}}])
-def test_a_load_has_one_control(found):
+def test_a_load_needs_exactly_one_control(found):
     assert "exactly one of force_n and plate_distance_mm" in refusal(LoadSpec, found)
 
 
@@ -196,7 +196,7 @@ def test_plates_cannot_move_apart():
     )
 
 
-def test_a_target_has_one_source():
+def test_a_target_needs_exactly_one_source():
     assert "exactly one of constants and volume" in refusal(BreastTarget, {})
     assert "a mesh is for a simulated target" in refusal(
         BreastTarget, {"volume": "a", "mesh": {"nodes": 500}}
@@ -206,7 +206,7 @@ def test_a_target_has_one_source():
     )
 
 
-def test_a_mirroring_of_the_body_is_refused():
+def test_rejects_axes_that_mirror_the_body():
     assert "mirror" in refusal(BreastTarget, {"volume": "a", "axes": "z,y,x"})
 
 

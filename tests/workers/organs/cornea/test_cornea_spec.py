@@ -1,4 +1,4 @@
-"""Keys of a cornea in a study file, and refusals."""
+"""Valid and invalid keys of a cornea in a study file."""
 
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ def test_pressures_are_converted_to_megapascals() -> None:
     assert case(constants=X1).complete()["mu2"] == pytest.approx(0.035)
 
 
-def test_exchanged_terms_are_the_same_cornea() -> None:
+def test_swapped_terms_describe_the_same_cornea() -> None:
     swapped = {"mu1_pa": 35000, "alpha1": 80, "mu2_pa": 11000, "alpha2": 30}
     assert case(constants=swapped).complete() == case(constants=X1).complete()
     assert case().canonical(swapped) == X1
@@ -76,7 +76,7 @@ def test_rejects_invalid_keys(parts: dict[str, Any], message: str) -> None:
         case(**parts)
 
 
-def test_study_file_of_a_cornea(tmp_path: Path) -> None:
+def test_reads_a_study_file_of_a_cornea(tmp_path: Path) -> None:
     (tmp_path / "frame.png").touch()
     text = """
 name: pair

@@ -68,18 +68,24 @@ def apex_um(kind, prestress, jet_mmhg, convention="mu/alpha", mesh=MESH, **optio
 
 
 @pytest.mark.parametrize(("kind", "prestress", "jet_mmhg", "expected_um"), MEASURED)
-def test_apex_in_the_convention_of_the_thesis(kind, prestress, jet_mmhg, expected_um):
+def test_apex_in_the_convention_of_the_thesis_matches_the_inventory(
+    kind, prestress, jet_mmhg, expected_um
+):
     assert apex_um(kind, prestress, jet_mmhg) == pytest.approx(expected_um, rel=0.01, abs=0.1)
 
 
 @pytest.mark.parametrize(("kind", "prestress", "jet_mmhg", "expected_um"), MEASURED_ABAQUS)
-def test_apex_in_the_convention_of_abaqus(kind, prestress, jet_mmhg, expected_um):
+def test_apex_in_the_convention_of_abaqus_matches_the_inventory(
+    kind, prestress, jet_mmhg, expected_um
+):
     apex = apex_um(kind, prestress, jet_mmhg, "2mu/alpha^2")
     assert apex == pytest.approx(expected_um, rel=0.01)
 
 
 @pytest.mark.parametrize(("kind", "prestress", "jet_mmhg", "expected_um"), MEASURED_FEBIO)
-def test_apex_in_the_convention_of_febio(kind, prestress, jet_mmhg, expected_um):
+def test_apex_in_the_convention_of_febio_matches_the_inventory(
+    kind, prestress, jet_mmhg, expected_um
+):
     apex = apex_um(kind, prestress, jet_mmhg, "mu/alpha^2")
     assert apex == pytest.approx(expected_um, rel=0.01)
 

@@ -98,11 +98,11 @@ def test_rejects_an_image_without_a_cornea(tmp_path: Path) -> None:
     noise = np.clip(8 + 2 * rng.standard_normal((240, 576)), 0, 255)
     Image.fromarray(noise.astype(np.uint8)).save(tmp_path / "dark.png")
     frame = {"file": str(tmp_path / "dark.png"), "pixel_mm": PIXEL_MM}
-    with pytest.raises(InputError, match="surface of a cornea is seen in"):
+    with pytest.raises(InputError, match="surface of a cornea is visible in"):
         evaluation.prepare_case(CASE | {"reference": {"frame": frame}}, str(tmp_path / "store"))
 
 
-def test_section_round_trip_through_an_image(tmp_path: Path) -> None:
+def test_section_survives_a_round_trip_through_an_image(tmp_path: Path) -> None:
     """Without refraction, to a fraction of a pixel; the window crops to the frame's extent."""
     truth = RigidMotion((4.5, -2.9)).of_section(generated_section(points=1001))
     frame = generated_frame(truth, PIXEL_MM, (240, 576), seed=3)
@@ -127,7 +127,7 @@ def test_the_picture_of_a_section_has_its_area() -> None:
     assert (picture.values == CORNEA_LABEL).sum() * 1e-4 == pytest.approx(area, rel=2e-3)
 
 
-def test_bodies_and_meshes_round_trip_through_the_store() -> None:
+def test_bodies_and_meshes_survive_a_round_trip_through_the_store() -> None:
     section = generated_section()
     back = ORGAN.body_from_arrays(ORGAN.body_to_arrays(section))
     np.testing.assert_array_equal(back.outline_mm, section.outline_mm)

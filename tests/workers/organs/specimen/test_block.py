@@ -54,7 +54,7 @@ def test_rejects_too_few_nodes_for_bending():
 
 
 def test_plate_of_four_cells_has_a_coarser_level():
-    """Only its long sides are halved, and the energy is as expected."""
+    """Only the cells along its long sides are halved, and the energy is as expected."""
     size = (40.0, 40.0, 10.0)
     hierarchy = block(size, 2300)
     counts = [len(level.mesh.nodes) for level in hierarchy.levels]

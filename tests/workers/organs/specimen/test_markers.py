@@ -96,7 +96,7 @@ def test_recovers_own_and_common_noise_from_repeats(own, common):
     assert mean[1] == pytest.approx(common**2, rel=0.15, abs=0.3 * own**2)
 
 
-def test_covariance_of_components():
+def test_covariance_of_components_matches_hand_calculation():
     S = [Scatter(0.2, 0.5), Scatter(0.05, 0.0)]
     C = component_covariance(S, 2, [2, 4], Scatter(0.1, 0.3))
     assert C.shape == (12, 12)

@@ -20,7 +20,7 @@ def normals_at(points, stated=None):
     return outward_normals(MESH.nodes, FACES, np.array(points), stated, names)
 
 
-def test_distance_from_a_triangle():
+def test_distance_from_a_triangle_matches_hand_calculation():
     r"""Worked out by hand.
 
     ::

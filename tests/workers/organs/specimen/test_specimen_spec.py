@@ -98,7 +98,7 @@ def test_hold_off_the_lowest_plane_is_not_a_wall(tmp_path):
     assert problem.holds[0].axes == (False, True, False)
 
 
-def test_material_with_yeoh_law(tmp_path):
+def test_reads_a_material_with_yeohs_law(tmp_path):
     rubber = described()["materials"]["rubber"] | {"law": "yeoh"}
     constants = {"yeoh_c2": [0.1, 2], "yeoh_c3": -0.5}
     spec = read_spec(

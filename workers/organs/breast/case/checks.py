@@ -21,7 +21,7 @@ SWELLING = 0.04
 
 
 def check_case(case: ScannedCase, *, anyway: bool = False) -> list[Finding]:
-    """Refuse scans that cannot be one body under these loads.
+    """Reject scans that cannot show one body under these loads.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def check_case(case: ScannedCase, *, anyway: bool = False) -> list[Finding]:
     Raises
     ------
     InputError
-        If the scans are refused; lists every reason.
+        If the scans are rejected; the message lists every reason.
     """
     return accept(case_findings(case), f"The case {case.file.name}", anyway=anyway)
 
@@ -99,6 +99,6 @@ def _repeat(case: ScannedCase) -> Iterator[Finding]:
             "implausible",
             f"The glandular tissue in {case.file.scans.reference_repeat} overlaps that of the "
             f"reference scan with a Jaccard of {found:.2f}; two segmentations of the same scan "
-            f"reach {SAME_GLAND} or more. Segment the reference scan again, or leave "
-            "scans.reference_repeat out.",
+            f"reach {SAME_GLAND} or more. Segment the reference scan again, or omit "
+            "scans.reference_repeat.",
         )

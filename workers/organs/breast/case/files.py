@@ -159,7 +159,7 @@ class CaseReader:
         return PlannedCaseSource(read_case(path, loaded=False, stored=stored))
 
     def understood(self, path: Path) -> list[tuple[str, str]]:
-        """Return names and texts of the assumptions of a diagnosis."""
+        """Return the assumptions of a diagnosis as names and texts."""
         file = case_file(path)
         return [("read from", str(file)), *understood(read_case_file(file))]
 

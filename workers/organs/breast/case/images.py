@@ -69,7 +69,7 @@ class CaseImages:
         volume = self.stored(name)
         if volume is None:
             raise InputError(
-                f"{self.case} names {name}, which is not in the folder and not in the store. "
+                f"{self.case} names {name}, which is neither in the folder nor in the store. "
                 "Check the name, or import the image first."
             )
         if scans.axes is not None or scans.spacing_mm is not None:
@@ -95,13 +95,13 @@ class CaseImages:
     def _missing(self, image: LabelImage) -> str:
         return (
             f"{image.where} has the labels {sorted(label_counts(image.volume))}; a case needs 0 "
-            f"background, 1 fat and 2 glandular, or the labels stated in {self.case.name}. "
+            f"background, 1 fat and 2 glandular, or the labels given in {self.case.name}. "
             "Relabel the scan, or segment the missing tissues."
         )
 
 
 def labels_in_words(labels: Mapping[int | str, str] | Mapping[int, str] | str | None) -> str:
-    """Describe the labels stated in a case, for a table."""
+    """Describe the labels given in a case, for a table."""
     if isinstance(labels, str):
         return f"named by {labels}"
     if labels is None:

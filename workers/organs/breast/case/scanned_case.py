@@ -47,7 +47,8 @@ class ScannedCase:
         A second segmentation of the body at rest.
     loaded : sequence of Volume
         Labels under each load, including tissue below the wall. Empty before the scans are made:
-        the body at rest is then used instead, and plates at a distance close around its middle.
+        the body at rest is then used instead, and plates at a given distance close around its
+        middle.
     where : str
         Path of the file, for messages.
     motions : sequence of str
@@ -88,7 +89,7 @@ class ScannedCase:
 
     @cached_property
     def noise(self) -> SegmentationNoise:
-        """Noise of the segmentation: from a repeat, as stated, or as in a study."""
+        """Noise of the segmentation: from a repeat, as given in the file, or as in a study."""
         if self.repeat is not None:
             return from_repeat(self.reference, self.repeat, wall_margin_mm=WALL_MARGIN_MM)
         stated = self.file.noise
@@ -172,7 +173,7 @@ class ScannedCase:
 
 
 def stated_starts_mm(file: CaseFile, load: CaseLoad) -> tuple[float | None, float | None]:
-    """Return the plate positions of a load; unless both are stated, those in `plates`."""
+    """Return the plate positions of a load; unless both are given, those in `plates`."""
     if load.lower_mm is not None and load.upper_mm is not None:
         return load.lower_mm, load.upper_mm
     plates = file.plates or CasePlates()

@@ -86,7 +86,7 @@ class ScannedCaseSource:
         return self.case.noise
 
     def check(self) -> None:
-        """Refuse scans that cannot be one body under these loads."""
+        """Reject scans that cannot show one body under these loads."""
         check_case(self.case)
 
     def findings(self) -> Iterator[Finding]:

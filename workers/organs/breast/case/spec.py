@@ -47,7 +47,7 @@ DISTANCE_SLACK_MM = 0.5
 
 
 def _constant(given: Any) -> Any:
-    """Convert a value to a float and an interval to two; keep the name of another constant."""
+    """Convert a value to a float, an interval to two floats; keep the name of another constant."""
     if given in SAME_FIBRES.values():
         return given
     many = given if isinstance(given, list | tuple) else [given]
@@ -370,11 +370,13 @@ class CaseFile(Door):
         for name, value in self.constants.items():
             if name == NU and not (isinstance(value, float) and value < NU_BELOW):
                 raise ValueError(
-                    f"constants: {NU} is held at a value less than {NU_BELOW:g}, found {value!r}; "
-                    "a diagnosis varies it by the effect compressibility"
+                    f"constants: {NU} must be held at a value less than {NU_BELOW:g}, found "
+                    f"{value!r}; a diagnosis varies it by the effect compressibility"
                 )
             if isinstance(value, str) and SAME_FIBRES.get(name) != value:
-                raise ValueError(f"constants: only eta_glandular_kpa can be {value}, found {name}")
+                raise ValueError(
+                    f"constants: only eta_glandular_kpa can be set to {value}, found {name}"
+                )
             if reason := self.model.laws.reason_against(name):
                 raise ValueError(f"constants: {name} is not used: {reason}")
         if self.model.law == "neo-hookean" and fibres:
@@ -387,7 +389,7 @@ class CaseFile(Door):
             wanted |= FIBRES
         if lacking := sorted(wanted - given):
             raise missing(
-                f"constants: no value of {', '.join(lacking)}: give a value to hold, as in "
+                f"constants: no value for {', '.join(lacking)}: give a value to hold, as in "
                 "E_fat_kpa: 10, or an interval to search, as in E_fat_kpa: [7, 14]"
             )
 
@@ -411,7 +413,7 @@ class CaseFile(Door):
 
     @property
     def names(self) -> dict[str, tuple[str, Unit]]:
-        """Names inside and units of all constants of the model, by their keys."""
+        """Internal names and units of all constants of the model, by their keys."""
         stiffnesses = {key: (name, KPA) for key, name in CONSTANTS.items()}
         if self.constants.items() >= SAME_FIBRES.items():
             stiffnesses |= {"eta_fat_kpa": (ONE_FIBRE, KPA)}
@@ -421,7 +423,7 @@ class CaseFile(Door):
 
     @property
     def free(self) -> dict[str, tuple[float, float]]:
-        """Searched intervals as stated, by names inside, in a fixed order."""
+        """Searched intervals as given, by internal names, in a fixed order."""
         return {
             name: value
             for key, (name, _) in self.names.items()
@@ -430,7 +432,7 @@ class CaseFile(Door):
 
     @property
     def held(self) -> dict[str, float]:
-        """Held constants as stated, by names inside."""
+        """Held constants as given, by internal names."""
         return {
             name: value
             for key, (name, _) in self.names.items()

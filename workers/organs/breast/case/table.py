@@ -12,7 +12,7 @@ Rows = list[tuple[str, str]]
 
 
 def understood(file: CaseFile) -> Rows:
-    """Return names and texts of the assumptions of a diagnosis.
+    """Return the assumptions of a diagnosis as names and texts.
 
     Examples
     --------
@@ -78,7 +78,7 @@ def _noise(file: CaseFile) -> str:
         return f"measured from {file.scans.reference_repeat}, a second segmentation at rest"
     if file.noise is None:
         return (
-            f"not stated: {DRAWN_VOXELS:g} voxels, correlated over {DRAWN_LENGTH_MM:g} mm, "
+            f"not given: {DRAWN_VOXELS:g} voxels, correlated over {DRAWN_LENGTH_MM:g} mm, "
             "in all scans"
         )
     scans = "in all scans" if file.noise.in_scans == "all" else "in the loaded scans only"

@@ -16,7 +16,7 @@ SPECKS = 0.01
 
 
 def check_volume_range(scan: Scan) -> Iterator[Finding]:
-    """Refuse a body of implausible size, such as one in metres or micrometres."""
+    """Reject a body of implausible size, such as one in metres or micrometres."""
     least, most = POSSIBLE_ML
     if not least <= scan.ml <= most:
         yield Finding(
@@ -36,7 +36,7 @@ def check_volume_range(scan: Scan) -> Iterator[Finding]:
 
 
 def check_empty_slices(scan: Scan) -> Iterator[Finding]:
-    """Refuse a body with unlabelled slices."""
+    """Reject a body with unlabelled slices."""
     for axis, empty in scan.empty_slices.items():
         count = scan.body.shape["zyx".index(axis)]
         yield Finding(
@@ -48,7 +48,7 @@ def check_empty_slices(scan: Scan) -> Iterator[Finding]:
 
 
 def check_pieces(scan: Scan) -> Iterator[Finding]:
-    """Refuse a body in several pieces, only one of which would be meshed."""
+    """Reject a body in several pieces, only one of which would be meshed."""
     largest, *others = scan.pieces_ml
     if not others:
         return

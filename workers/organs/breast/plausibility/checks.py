@@ -52,7 +52,7 @@ CHECKS: tuple[tuple[Check, ...], ...] = (
 
 
 def findings_of(facts: BreastFacts) -> Iterator[Finding]:
-    """Yield the findings of the checks, up to the first group that refuses."""
+    """Yield the findings of the checks, up to the first group that rejects the input."""
     for group in CHECKS:
         found = [finding for check in group for finding in check(facts)]
         yield from found

@@ -14,7 +14,7 @@ ABSURD_STRAIN = 5.0
 
 
 def check_force(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a force that would hardly move the plates, or crush the body.
+    """Reject a force that would hardly move the plates, or crush the body.
 
     The estimate is linear: force times thickness divided by Young's modulus and mean section.
     """
@@ -46,7 +46,7 @@ def check_force(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def check_distance(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse plates with a stated distance that differs from the thickness of the bodies."""
+    """Reject plates whose given distance differs from the thickness of the bodies."""
     scans = {id(load): scan for scan, load in facts.pressed}
     for load in facts.loads:
         rest = None if facts.rest is None else _along(facts.rest, load)
@@ -75,12 +75,13 @@ def check_distance(facts: BreastFacts) -> Iterator[Finding]:
                 yield Finding(
                     "warning",
                     f"{load.where}: the plates start {load.initial_mm:g} mm apart, but the body is "
-                    f"{rest.thickness_mm:.1f} mm thick in {rest.file}. The start is not used.",
+                    f"{rest.thickness_mm:.1f} mm thick in {rest.file}. The initial distance is not "
+                    "used.",
                 )
 
 
 def check_plates(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse plates that start off the body, or end away from the body in the scan."""
+    """Reject plates that start off the body, or end away from the body in the scan."""
     for load in facts.loads:
         if facts.rest is not None and load.starts_mm is not None:
             yield from _start(load, _along(facts.rest, load), *load.starts_mm)

@@ -41,7 +41,7 @@ LEAST_SHIFT_MM, LEAST_SHIFT_VOXELS, LEAST_TURN_DEG = 2.5, 1.5, 1.0
 
 
 def check_places(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse scans that have no known common frame of reference."""
+    """Reject scans that have no known common frame of reference."""
     if facts.rest is None or facts.aligned:
         return
     for scan, _ in facts.pressed:
@@ -49,7 +49,7 @@ def check_places(facts: BreastFacts) -> Iterator[Finding]:
         if text:
             yield Finding(
                 "implausible",
-                f"{text} Their relative position is unknown, and it decides the result. Export "
+                f"{text} Their relative position is unknown, and it determines the result. Export "
                 "both in one frame, or register them first, or let Palpate align them: "
                 f"{facts.align_key}: rigid.",
             )
@@ -59,7 +59,7 @@ def _no_common_place(rest: Scan, scan: Scan) -> str:
     unknown = [one.file for one in (rest, scan) if not one.labels.place_known]
     if unknown:
         names = " and ".join(dict.fromkeys(unknown))
-        return f"{names} {'does' if len(set(unknown)) == 1 else 'do'} not state where the body is."
+        return f"{names} {'does' if len(set(unknown)) == 1 else 'do'} not give the body's position."
     here, there = rest.labels.frame_uid, scan.labels.frame_uid
     if here and there and here != there:
         return (
@@ -70,7 +70,7 @@ def _no_common_place(rest: Scan, scan: Scan) -> str:
 
 
 def check_volumes(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a pair whose volumes differ by more than compression and segmentation explain."""
+    """Reject a pair whose volumes differ by more than compression and segmentation explain."""
     for rest, scan, _ in _pairs(facts):
         lost = COMPRESSED * 3 * (1 - 2 * facts.least_nu) * _strain(rest, scan)
         most = SEGMENTED + facts.swelling
@@ -97,14 +97,14 @@ def check_volumes(facts: BreastFacts) -> Iterator[Finding]:
             )
         yield Finding(
             "implausible",
-            f"The body has {rest.ml:.4g} ml in {rest.file} and {after:.4g} ml in {scan.file}, "
-            f"{change:+.1%}; tissue nearly keeps its volume, so {least:+.1%} to {most:+.1%} was "
-            f"expected. {cause}",
+            f"The body has a volume of {rest.ml:.4g} ml in {rest.file} and {after:.4g} ml in "
+            f"{scan.file}, {change:+.1%}; tissue nearly keeps its volume, so {least:+.1%} to "
+            f"{most:+.1%} was expected. {cause}",
         )
 
 
 def check_thickness(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a body that is thicker under load, or was pressed along another axis."""
+    """Reject a body that is thicker under load, or was pressed along another axis."""
     for rest, scan, _ in _pairs(facts):
         other = _pressed_axis(rest, scan)
         if other is not None:
@@ -129,7 +129,7 @@ def check_thickness(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def check_moved(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a scan under load that shows the body at rest."""
+    """Reject a scan under load that shows the body at rest."""
     for rest, scan, load in _pairs(facts):
         there = resample_labels(scan.labels, rest.labels).values
         body = rest.body | (there != Tissue.AIR)
@@ -145,7 +145,7 @@ def check_moved(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def check_overlap(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse bodies that are far apart."""
+    """Reject bodies that are far apart."""
     for rest, scan, _ in _pairs(facts):
         if not facts.aligned and _no_common_place(rest, scan):
             continue
@@ -163,7 +163,7 @@ def check_overlap(facts: BreastFacts) -> Iterator[Finding]:
 
 
 def check_outline(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a body whose outline is mostly gland: its labels look swapped."""
+    """Reject a body whose outline is mostly gland: its labels look swapped."""
     if facts.rest is None:
         return
     rest = facts.rest
@@ -175,13 +175,13 @@ def check_outline(facts: BreastFacts) -> Iterator[Finding]:
         yield Finding(
             "implausible",
             f"In {rest.file} {share:.0%} of the outline is glandular tissue (label 2), expected "
-            f"less than {GLAND_OUTSIDE:.0%}, as fat is outside. Fat (1) and glandular tissue (2) "
-            "look swapped: exchange the labels in all scans.",
+            f"less than {GLAND_OUTSIDE:.0%}, because fat is outside. Fat (1) and glandular tissue "
+            "(2) look swapped: swap the labels in all scans.",
         )
 
 
 def check_shares(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a pair in which one scan has the labels of fat and gland exchanged."""
+    """Reject a pair in which the labels of fat and gland are swapped in one scan."""
     for rest, scan, _ in _pairs(facts):
         before, after = _gland_share(rest), _gland_share(scan)
         if abs(after - before) > max(GLAND_SHARE, abs(after - (1 - before))):
@@ -189,12 +189,12 @@ def check_shares(facts: BreastFacts) -> Iterator[Finding]:
                 "implausible",
                 f"Glandular tissue (label 2) is {before:.0%} of the body in {rest.file}, but "
                 f"{after:.0%} in {scan.file}, where fat (label 1) is {1 - after:.0%}; about equal "
-                f"shares were expected. Exchange labels 1 and 2 in {scan.file}.",
+                f"shares were expected. Swap labels 1 and 2 in {scan.file}.",
             )
 
 
 def check_mirror_image(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse a scan that is mirrored along one or more axes."""
+    """Reject a scan that is mirrored along one or more axes."""
     for rest, scan, _ in _pairs(facts):
         flips = mirrored(rest, scan)
         if not any(flips):
@@ -209,8 +209,8 @@ def check_mirror_image(facts: BreastFacts) -> Iterator[Finding]:
         yield Finding(
             "implausible",
             f"{scan.file} looks like a mirror image of {rest.file} along {along}: outline and "
-            "glandular tissue agree clearly better after a flip. Flip "
-            f"{scan.file} along {along}, or write the right directions into its header.",
+            "glandular tissue agree much better after a flip. Flip "
+            f"{scan.file} along {along}, or write the correct directions into its header.",
         )
 
 
@@ -225,8 +225,7 @@ def check_rigid_motion(facts: BreastFacts) -> Iterator[Finding]:
         other = motion_between(rest, scan, replace(load, fixed="middle"))
         moving = load.force_n is not None and _is_small(other, rest, scan)
         remedy = (
-            "The middle of the body does not move: if both plates move, state "
-            "case.load.moving: both."
+            "The middle of the body does not move: if both plates move, set case.load.moving: both."
             if moving and facts.rigid_is_refused
             else f"Check both origins, or let Palpate align them: {facts.align_key}: rigid."
         )
@@ -247,7 +246,7 @@ def _is_small(motion: RigidMotion, rest: Scan, scan: Scan) -> bool:
 
 
 def check_order_of_loads(facts: BreastFacts) -> Iterator[Finding]:
-    """Refuse scans in which the body gets thicker under a larger force."""
+    """Reject scans in which the body gets thicker under a larger force."""
     if facts.rest is None:
         return
     for axis in dict.fromkeys(scan.axis for scan, _ in facts.pressed):
@@ -263,8 +262,8 @@ def check_order_of_loads(facts: BreastFacts) -> Iterator[Finding]:
                     "implausible",
                     f"The body is {thick:.1f} mm thick in its median slice under "
                     f"{less.force_n:g} N ({less.file}), but {thin:.1f} mm under {more.force_n:g} N "
-                    f"({more.file}); the larger force was expected to press it thinner. Exchange "
-                    "the two files, or their forces, in the case.",
+                    f"({more.file}); the larger force was expected to press it thinner. Swap the "
+                    "two files, or their forces, in the case.",
                 )
 
 
@@ -279,9 +278,9 @@ def _extent(rest: Scan, scan: Scan) -> float:
 
 
 def _pressed_axis(rest: Scan, scan: Scan) -> int | None:
-    """Return the axis of compression of a body if it is not the stated one.
+    """Return the axis of compression of a body if it is not the given one.
 
-    The body is much thinner there, and its size changes less along every other axis.
+    The body is much thinner along it, and its size changes less along every other axis.
     """
     change = np.log(np.divide(scan.sides_mm, rest.sides_mm))
     most = int(np.abs(change).argmax())

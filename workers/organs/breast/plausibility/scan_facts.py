@@ -140,7 +140,7 @@ class Scan:
 
 @dataclass(frozen=True)
 class PlateLoad:
-    """Load between two plates, as stated in a file.
+    """Load between two plates, as given in a file.
 
     Parameters
     ----------
@@ -153,9 +153,9 @@ class PlateLoad:
         Key in the file, and initial positions of the plates along the axis; None if they are
         taken from the scan at rest.
     initial_mm, distance_mm : float or None
-        Stated distances between the plates, before and under compression.
+        Given distances between the plates, before and under compression.
     ends_mm : (float, float) or None
-        Stated positions of the plates under compression.
+        Given positions of the plates under compression.
     fixed : {"lower", "middle", "none"}
         End of the body that a force does not move.
     """

@@ -99,7 +99,7 @@ class Information:
         return np.sqrt(np.diag(self.covariance(noise)))
 
     def __add__(self, other: "Information") -> "Information":
-        """Return the information of two images together."""
+        """Return the combined information of two images."""
         gram = self.gram_um2_mm + other.gram_um2_mm
         return replace(self, gram_um2_mm=gram, length_mm=self.length_mm + other.length_mm)
 

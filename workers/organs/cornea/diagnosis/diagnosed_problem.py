@@ -133,7 +133,7 @@ class CorneaForward:
 
 
 def _displacement(problem: CorneaProblem, solution: CorneaSolution) -> tuple[FloatArray, str]:
-    """Return the displacement, (n, 2), and the reason of a failure; empty without one."""
+    """Return the displacement, (n, 2), and the reason for failure; empty if there is none."""
     base = problem.candidate
     u, reason = solution.displacement_mm, solution.reason
     for (option, value), share in problem.shares.items():

@@ -199,7 +199,7 @@ class CorneaStudySource:
         ]
 
     def check(self) -> None:
-        """Refuse a study without a searched constant of the law."""
+        """Reject a study without a searched constant of the law."""
         if not self.free:
             raise InputError(
                 f"The study {self.name} has searched {', '.join(self.study.bounds) or 'nothing'}; "
@@ -273,7 +273,7 @@ class CorneaStudySource:
 
     @property
     def acquisition(self) -> Acquisition:
-        """Refuse: further images of a puff would be of the same puff.
+        """Raise InputError: further images would show the same puff.
 
         Raises
         ------

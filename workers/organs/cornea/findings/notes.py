@@ -37,7 +37,7 @@ def _missing(numbers: Mapping[str, Any], case: CorneaCase) -> list[str]:
         f"{what[0].upper()}{what[1:]} {verb} not measured with these images but {verb} assumed "
         f"(IOP {case.load.iop_mmhg:g} mmHg, jet {1000 * case.load.jet.pressure_mpa:g} kPa). "
         "Contours, displacements, the similarity, and comparisons of this eye with itself may be "
-        "used. Mu, alpha, G0 and the curve of stress over stretch may not be used as properties "
+        "used. Mu, alpha, G0 and the stress-stretch curve may not be used as properties "
         "of the tissue; they hold under these assumptions only."
     )
     changed = [numbers["assumptions"][one] for one in missing if one in numbers["assumptions"]]
@@ -55,14 +55,14 @@ def _shear_modulus(numbers: Mapping[str, Any]) -> str:
     bounds, names = numbers["shear_modulus_bounds"], numbers["noises"]
     return (
         "An image determines G0 = 1/2 Σ μα and the stress at the stretches that the eye attains, "
-        f"up to {numbers['attained_stretches'][1]:.3f}; their 90 % intervals are with the "
+        f"up to {numbers['attained_stretches'][1]:.3f}; their 90 % intervals are listed with the "
         f"estimates. With an error of model or segmentation of {names['model']}, one such image "
         f"{_fixes(bounds['model'])} (one standard deviation, Cramer-Rao)."
     )
 
 
 def _fixes(bound: float) -> str:
-    return f"fixes G0 to {_percent(bound)}" if bound < 1 else "does not fix G0"
+    return f"determines G0 to {_percent(bound)}" if bound < 1 else "does not determine G0"
 
 
 def _percent(part: float) -> str:
@@ -78,9 +78,9 @@ def _constants(numbers: Mapping[str, Any]) -> str:
     text = f"{strong} of {len(values)} combinations of the constants move the contour by more "
     text += "than 1 µm when they grow by a factor of e. "
     if len(loose) == len(bounds):
-        return text + "No single constant is known better than to half its value."
+        return text + "No single constant is known to better than half its value."
     known = ", ".join(_plain(name) for name in bounds if name not in loose)
-    return text + f"Of the single constants, only these are known better than to half: {known}."
+    return text + f"Only these constants are known to better than half their value: {known}."
 
 
 def _several(numbers: Mapping[str, Any]) -> list[str]:
@@ -93,8 +93,8 @@ def _several(numbers: Mapping[str, Any]) -> list[str]:
     gains = ", ".join(f"{_plain(name)} {repeated[name] / several[name]:.1f}" for name in several)
     count = len(numbers["jet_fractions"])
     return [
-        f"{count} frames of one puff, at {count} pressures of the jet, would fix the constants "
-        f"better than as many images of the present one, by these factors: {gains}."
+        f"{count} frames of one puff, at {count} pressures of the jet, would determine the "
+        f"constants better than as many images at the present pressure, by these factors: {gains}."
     ]
 
 
@@ -102,11 +102,11 @@ def _order(case: CorneaCase) -> str:
     by = case.model.order_terms_by
     if by == "nothing":
         return (
-            "Exchanging the two terms of the law does not change the cornea, and they are listed "
+            "Swapping the two terms of the law does not change the cornea, and they are listed "
             "as they were found: compare G0 and the curve, not the constants."
         )
     return (
-        "Exchanging the two terms of the law does not change the cornea. They are sorted by "
+        "Swapping the two terms of the law does not change the cornea. They are sorted by "
         f"{by} in ascending order, so that constants of several eyes can be compared."
     )
 

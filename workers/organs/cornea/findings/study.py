@@ -54,8 +54,8 @@ PROFILE_LOGARITHMS = np.log([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
 PRIOR_SD = 1.0
 # Quantities not measured together with the images, and their possible errors.
 ASSUMED = {
-    "iop": ("iop_mpa", MPA_PER_MMHG, "1 mmHg more pressure of the eye"),
-    "jet_pressure": ("jet_pressure_mpa", None, "1 % more pressure of the jet"),
+    "iop": ("iop_mpa", MPA_PER_MMHG, "1 mmHg more intraocular pressure"),
+    "jet_pressure": ("jet_pressure_mpa", None, "1 % more jet pressure"),
     "pachymetry": ("thickness_mm", 0.01, "10 µm more thickness"),
 }
 
@@ -181,7 +181,7 @@ def _identified(eye: FittedEye, noise: ContourNoise) -> dict[str, Any]:
 def _pressures(
     eye: FittedEye, asked: FindingsSpec, noise: ContourNoise, score: CorneaScore
 ) -> dict[str, Any]:
-    """Return the information of several frames of one puff, or of repeated present ones."""
+    """Return the information of several frames of one puff, or of as many at one pressure."""
     fractions = asked.jet_fractions
     several = information_of_pressures(eye.candidate, fractions, score.window_mm)
     repeated = eye.information.bounds(noise) / np.sqrt(len(fractions))
@@ -214,7 +214,7 @@ def _assumptions(eye: FittedEye, others: FloatArray, stretch: float) -> dict[str
 
     They refer to G0 and to the stress at the best-determined stretch.
 
-    The constants compensate as far as they can, under `MODEL_ERROR` and `PRIOR_SD`.
+    The constants compensate as far as `MODEL_ERROR` and `PRIOR_SD` allow.
     """
     candidate, contour = eye.candidate, eye.contour
     weight = contour.length_mm / (MODEL_ERROR.correlation_mm * MODEL_ERROR.sd_um**2)

@@ -133,14 +133,14 @@ def _near_surfaces(frame: Imaged, shape: tuple[int, ...]) -> BoolArray:
 def _concave(rest: Imaged) -> Finding:
     text = (
         f"{rest.name}: the anterior surface curves into the eye, with a radius of "
-        f"{-rest.shape.radius_mm:.1f} mm; at rest it curves outwards, with {RADIUS_MM}."
+        f"{-rest.shape.radius_mm:.1f} mm; at rest it curves outwards, with a radius of {RADIUS_MM}."
     )
     if abs(rest.shape.anterior_bump.height_mm) > SMOOTH_MM:
         return Finding("implausible", f"{text} Give a frame before the jet.{rest.causes}")
     return Finding(
         "implausible",
-        f"{text} The picture looks upside down: turn it, with the front of the eye at the top."
-        f"{rest.causes}",
+        f"{text} The picture looks upside down: rotate it so that the front of the eye is at the "
+        f"top.{rest.causes}",
     )
 
 
@@ -149,7 +149,7 @@ def _sizes(frame: Imaged, ranges: tuple[Range | None, Range, Range]) -> Iterator
     values = (shape.radius_mm, shape.central_thickness_mm, shape.width_mm)
     names = ("the radius of the anterior surface", "the central thickness", "the width shown")
     wrong = [
-        f"{name} is {value:.3g} mm (of a cornea: {usual})"
+        f"{name} is {value:.3g} mm (usual for a cornea: {usual})"
         for name, value, usual in zip(names, values, ranges, strict=True)
         if usual is not None and value not in usual
     ]
@@ -178,8 +178,8 @@ def _likely_scale(frame: Imaged, ranges: tuple[Range | None, Range, Range]) -> s
         if fits and (across, down) != (1, 1):
             size = f"{1 / across:.3g}" if across == down else f"{1 / across:.3g} x {1 / down:.3g}"
             return (
-                f" The picture seems exported at {size} times its size: set pixel_mm to "
-                f"[{across * width:.6g}, {down * height:.6g}], or give the original picture."
+                f" The picture seems to have been exported at {size} times its size: set pixel_mm "
+                f"to [{across * width:.6g}, {down * height:.6g}], or give the original picture."
             )
     if frame.spec.refraction is None and shape.central_thickness_mm < thick.least:
         return (

@@ -54,12 +54,12 @@ def _remedy(frame: Frame, spec: FrameSpec) -> str:
     """Return advice if a cornea is found in the rotated picture, or with smaller pixels."""
     across, down = frame.spacing_mm
     if _shows_cornea(Frame(np.rot90(frame.grey), (down, across)), spec):
-        return " A cornea is seen if the picture is turned by 90 degrees: turn the file."
+        return " A cornea is found if the picture is rotated by 90 degrees: rotate the file."
     for times in EXPORTED:
         size = (across / times, down / times)
         if _shows_cornea(Frame(frame.grey, size), spec):
             return (
-                f" A cornea is seen if the picture was exported at {times} times its size: set "
+                f" A cornea is found if the picture was exported at {times} times its size: set "
                 f"pixel_mm to [{size[0]:.6g}, {size[1]:.6g}], or give the original picture."
             )
     return ""

@@ -134,7 +134,7 @@ def _colours(picture: FloatArray) -> Iterator[str]:
     if count > FALSE_COLOURS_FROM * coloured.size:
         yield "false colours; export it in grey"
     elif count:
-        yield f"{count:,} coloured pixels, as of a viewer's lines or text ({box_of(coloured)})"
+        yield f"{count:,} coloured pixels, such as a viewer's lines or text ({box_of(coloured)})"
 
 
 def _spots(picture: FloatArray) -> Iterator[str]:
@@ -145,7 +145,7 @@ def _spots(picture: FloatArray) -> Iterator[str]:
         return
     where = find_objects(numbers)[int(sizes.argmax())]
     box = Box((where[1].start, where[1].stop - 1), (where[0].start, where[0].stop - 1))
-    yield f"pixels at full brightness, as of a reflection or text ({box})"
+    yield f"pixels at full brightness, such as a reflection or text ({box})"
 
 
 def _top(picture: FloatArray) -> Iterator[str]:
@@ -156,4 +156,4 @@ def _top(picture: FloatArray) -> Iterator[str]:
     first = np.flatnonzero(numbers[0])
     if len(first) >= LEAST_EDGE_PART * grey.shape[1]:
         box = box_of(np.isin(numbers, np.unique(numbers[0][first])))
-        yield f"a bright part from the first row on, as of a lid or a window's frame ({box})"
+        yield f"a bright part from the first row on, such as a lid or a window's frame ({box})"

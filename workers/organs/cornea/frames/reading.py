@@ -28,7 +28,7 @@ def read_frame(
     Raises
     ------
     InputError
-        If the file is missing, not an image, or has several, or `Frame` refuses it.
+        If the file is missing, not an image, or has several, or `Frame` rejects it.
     """
     grey = read_picture(path)
     if grey.ndim == 3:

@@ -176,7 +176,7 @@ _ADVICE = (
 def _demand(seen: NDArray[np.bool_], surface: str) -> None:
     if seen.mean() < MIN_SEEN:
         raise InputError(
-            f"The {surface} surface of a cornea is seen in {100 * seen.mean():.0f} % of the "
+            f"The {surface} surface of a cornea is visible in {100 * seen.mean():.0f} % of the "
             f"columns of the image; at least {100 * MIN_SEEN:.0f} % are needed. {_ADVICE}"
         )
 

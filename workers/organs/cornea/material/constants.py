@@ -91,7 +91,7 @@ class CorneaConstants:
         if not all(map(math.isfinite, (*self.mu_mpa, *self.alpha, self.bulk_mpa))):
             raise InputError(f"The constants of a cornea must be finite numbers, got {self}.")
         if 0 in self.alpha:
-            raise InputError(f"An Ogden law has no term with the exponent 0, got {self.alpha}.")
+            raise InputError(f"The exponents of an Ogden law must not be 0, got {self.alpha}.")
         if self.shear_modulus_mpa <= 0 or self.bulk_mpa <= 0:
             raise InputError(
                 "A cornea needs a positive shear and bulk modulus, got "

@@ -112,7 +112,7 @@ class CorneaLoad:
             self.eye_tilt_rad,
         )
         if not all(map(math.isfinite, numbers)):
-            raise InputError(f"The load on a cornea must be finite numbers, got {self}.")
+            raise InputError(f"The load on a cornea must consist of finite numbers, got {self}.")
         if self.iop_mpa < 0 or self.jet_pressure_mpa < 0:
             raise InputError(
                 "The pressure in the eye and of the air jet cannot be negative, got "

@@ -64,7 +64,7 @@ class CorneaModel:
         if self.limbus_mpa_per_mm is not None and not self.limbus_mpa_per_mm > 0:
             raise InputError(
                 "An elastic limbus needs a positive stiffness, got "
-                f"{1e3 * self.limbus_mpa_per_mm:g} kPa/mm. Leave it out to clamp the limbus."
+                f"{1e3 * self.limbus_mpa_per_mm:g} kPa/mm. Omit it to clamp the limbus."
             )
         if not (self.tolerance_mm > 0 and self.prestress_tolerance_mm > 0):
             raise InputError(

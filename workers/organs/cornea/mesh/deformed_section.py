@@ -39,7 +39,7 @@ def deformed_section(
     """
     if displacement_mm.shape != mesh.nodes_mm.shape:
         raise InputError(
-            f"A displacement of shape {displacement_mm.shape} does not belong to a mesh of "
+            f"A displacement of shape {displacement_mm.shape} does not match a mesh of "
             f"{len(mesh.nodes_mm)} nodes; expected {mesh.nodes_mm.shape}."
         )
     if points_per_side < 1:

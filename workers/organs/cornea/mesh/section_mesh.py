@@ -45,7 +45,7 @@ def mesh_section(
     Raises
     ------
     InputError
-        If `check_section` refuses the section, a given x is outside the anterior surface or
+        If `check_section` rejects the section, a given x is outside the anterior surface or
         repeated, there are fewer than 8 elements, or the surfaces differ so much that an
         element would be folded.
     """

@@ -56,14 +56,14 @@ def corrected_posterior(
         anterior surface.
     """
     if not (np.isfinite(index) and index >= 1):
-        raise InputError(f"A refractive index is at least 1 (cornea: 1.376), got {index}.")
+        raise InputError(f"A refractive index must be at least 1 (cornea: 1.376), got {index}.")
     if not 0 < camera_angle_deg < 80:
         raise InputError(
             f"The angle of the camera must be between 0 and 80 degrees, got {camera_angle_deg}."
         )
     x, y = anterior_mm.T
     if np.any(np.diff(x) <= 0):
-        raise InputError("The anterior surface runs back. Give its points from left to right.")
+        raise InputError("The anterior surface doubles back. Give its points from left to right.")
     if np.any(apparent_mm[:, 1] > np.interp(apparent_mm[:, 0], x, y)):
         raise InputError("The posterior surface is above the anterior one in places.")
     surface = _AnteriorSurface(

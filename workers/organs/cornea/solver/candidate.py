@@ -23,7 +23,7 @@ class Candidate:
 
 
 def parameter_names(candidate: Candidate) -> tuple[str, ...]:
-    """Return the parameters by which a candidate can be differentiated.
+    """Return the parameters with respect to which a candidate can be differentiated.
 
     Ogden terms are numbered from 1: mu1_mpa, alpha1, mu2_mpa, ...
     """

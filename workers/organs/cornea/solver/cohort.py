@@ -55,7 +55,7 @@ class CohortEye:
     patient : int
         1 to 12.
     side : {"left", "right"}
-        The order left, right is stated only in the table's caption.
+        The order left, right is given only in the table's caption.
     iop_mmhg, pachymetry_um : float
         Measured.
     constants : OgdenConstants

@@ -38,7 +38,7 @@ class CorneaOutcome:
 
     @property
     def reason(self) -> str:
-        """Return the reason of a divergence; empty if converged."""
+        """Return the reason for divergence; empty if converged."""
         return self.solution.reason
 
     def as_dict(self) -> dict[str, Any]:

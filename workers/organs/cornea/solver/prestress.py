@@ -4,8 +4,8 @@ r"""Equilibrium of an imaged cornea with the intraocular pressure.
 additive    The thesis' steps a to d: (a) the pressure acts on the section in the image,
             taken as undeformed; (b) a simulation gives the stress; (c) that stress is an
             initial stress, S = S(F) + S_0, of the same section under the same pressure;
-            (d) again, until nothing moves. The material starts at F = 1 each time, so
-            what the pre-stretch stiffens is lost.
+            (d) these steps are repeated until nothing moves. The material starts at F = 1 each
+            time, so what the pre-stretch stiffens is lost.
 mulf        Modified updated Lagrangian formulation: not the stress but the deformation
             gradient is carried, F_0 <- F F_0 (Gee, Foerster and Wall 2010).
 inverse     The section without pressure is sought that the pressure deforms into the
@@ -51,7 +51,7 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class PrestressedSystem:
-    """A cornea in equilibrium with the intraocular pressure, or the reason of a failure.
+    """A cornea in equilibrium with the intraocular pressure, or the reason for failure.
 
     Parameters
     ----------

@@ -42,7 +42,6 @@ class Change:
 
     Their meshes may differ, but not in the triangles: an error of the thickness, for instance,
     moves the nodes.
-    instance, moves the nodes.
     """
 
     plus: Candidate
@@ -76,9 +75,7 @@ def change_of(candidate: Candidate, name: str) -> Change:
     """
     step = STEP * scale_of(candidate, name)
     if name in ("iop_mpa", "jet_pressure_mpa") and getattr(candidate.load, name) == 0:
-        raise InputError(
-            f"The derivative with respect to {name} needs a pressure that is not zero."
-        )
+        raise InputError(f"The derivative with respect to {name} needs a non-zero pressure.")
     return Change(changed(candidate, name, step), changed(candidate, name, -step), step)
 
 

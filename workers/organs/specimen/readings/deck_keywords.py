@@ -13,7 +13,7 @@ ONCE = ("PART", "INSTANCE", "NODE")
 
 
 def check_deck(path: Path) -> None:
-    """Refuse an input deck that would be read incompletely.
+    """Reject an input deck that would be read incompletely.
 
     Raises
     ------

@@ -168,20 +168,20 @@ def _on_boundary(spec: SpecimenSpec, tables: FieldTables) -> BoolArray:
         absent = np.flatnonzero(~known.any(axis=0))
         if len(absent):
             raise InputError(
-                f"The region {name} moves as was measured, but {MOVE[axes[absent[0]]]} was not "
+                f"The region {name} moves as measured, but {MOVE[axes[absent[0]]]} was not "
                 "measured. Add the column, or list the axes that were measured: axes: [...]."
             )
         there = region_of(spec.regions[name]).contains(points)
         here = there & known.all(axis=1)
         if here.sum() < FEWEST:
             raise InputError(
-                f"The region {name} moves as was measured, but {int(here.sum())} points of the "
+                f"The region {name} moves as measured, but {int(here.sum())} points of the "
                 f"field with a displacement are in it; at least {FEWEST} are needed. Define it as "
                 "a box that contains a layer of points."
             )
         if len(np.unique(points[here], axis=0)) < here.sum():
             raise InputError(
-                f"The region {name} moves as was measured, but points of the field in it are "
+                f"The region {name} moves as measured, but points of the field in it are "
                 "listed twice. List each point once, with one displacement."
             )
         inside |= here

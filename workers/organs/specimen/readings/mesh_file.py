@@ -1,4 +1,4 @@
-"""Reader of mesh files as tetrahedra or triangles, which refuses unsupported content.
+"""Reader of mesh files as tetrahedra or triangles, which rejects unsupported content.
 
 Hexahedra, wedges, pyramids and pixels are split; nodes on the edges of cells are ignored. If a
 file contains volume cells, they are the body, and its surface cells are left out.

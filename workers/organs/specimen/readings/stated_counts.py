@@ -18,7 +18,7 @@ _KEYWORDS = re.compile(
 
 
 def check_counts(path: Path) -> None:
-    """Raise InputError if a mesh file states more points or cells than fit in its size."""
+    """Raise InputError if a mesh file declares more points or cells than fit in its size."""
     if not path.is_file():  # the reader reports missing files
         return
     size = path.stat().st_size
@@ -41,20 +41,22 @@ def check_counts(path: Path) -> None:
                 )
             if abs(int(digits)) > size and match[0].lstrip()[:1] != b"$":
                 raise InputError(
-                    f"{path} states {int(digits)} points or cells, but has only {size} bytes. It "
+                    f"{path} declares {int(digits)} points or cells, but has only {size} bytes. It "
                     "is cut short or damaged; export it again."
                 )
 
 
 def _check_stl(path: Path, content: bytes) -> None:
-    """Check the number of facets of a binary STL file; a text file states none."""
+    """Check the number of facets of a binary STL file; a text file declares none."""
     if content[:5].lower() == b"solid" and b"facet" in content[:1024].lower():
         return
     if len(content) < _STL_HEADER:
-        raise InputError(f"{path} is not an STL file: it has {len(content)} bytes. Export again.")
+        raise InputError(
+            f"{path} is not an STL file: it has {len(content)} bytes. Export it again."
+        )
     (facets,) = struct.unpack_from("<I", content, 80)
     if _STL_HEADER + _STL_FACET * facets > len(content):
         raise InputError(
-            f"{path} states {facets} facets, which need {_STL_FACET * facets} bytes, but has only "
-            f"{len(content)} bytes. It is cut short; export it again."
+            f"{path} declares {facets} facets, which need {_STL_FACET * facets} bytes, but has "
+            f"only {len(content)} bytes. It is cut short; export it again."
         )

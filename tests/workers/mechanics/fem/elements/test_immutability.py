@@ -50,7 +50,7 @@ def stiffer(problem: Problem, factor: float) -> Problem:
 
 
 def other_work(at: Equilibrium) -> None:
-    """Compute tangents for another parameter and start, and the equilibrium of a similar problem."""
+    """Compute tangents for another parameter and start, and a similar problem's equilibrium."""
     problem = at.problem
     gravity = Change(replace(problem, gravity_g=(0.0, 0.01, 0.0)), problem, 0.01)
     tangents(at, [gravity])

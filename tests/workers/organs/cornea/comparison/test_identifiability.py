@@ -106,7 +106,7 @@ def test_stress_interval_widens_beyond_attained_stretches(
     assert relative[1] > 3 * relative[0]
 
 
-def test_attained_stretches_of_a_uniform_stretch() -> None:
+def test_attained_stretches_equal_a_uniform_stretch() -> None:
     u = 0.02 * X1.prepared.mesh.nodes_mm
     assert attained_stretches(X1, u) == pytest.approx((1.02, 1.02))
 

@@ -39,7 +39,7 @@ def slab(x0: float, y0: float, x1: float, y1: float) -> Section:
     )
 
 
-def test_areas_calculated_by_hand() -> None:
+def test_areas_match_hand_calculation() -> None:
     assert overlap_areas(box(0, 0, 2, 2), box(1, 1, 4, 3)) == pytest.approx((4, 6, 1))
     assert overlap_areas(box(0, 0, 1, 1), box(2, 0, 3, 1)) == pytest.approx((1, 1, 0))
     diamond = np.array([[0.5, -0.5], [1.5, 0.5], [0.5, 1.5], [-0.5, 0.5]])
@@ -59,7 +59,7 @@ def test_areas_of_rotated_squares_match_the_octagon() -> None:
         assert (area_a, area_b, both) == pytest.approx((4, 4, exact))
 
 
-def test_score_of_a_shifted_slab_calculated_by_hand() -> None:
+def test_score_of_a_shifted_slab_matches_hand_calculation() -> None:
     score = SectionTarget(slab(0, 0, 10, 1)).score(slab(0, 0.1, 10, 1.1))
     assert score.jc == pytest.approx(0.9 / 1.1)
     # Long sides are 0.1 mm apart. The short sides coincide over 0.9 mm; the rest, 0.1 mm on each

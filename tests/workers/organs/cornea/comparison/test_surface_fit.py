@@ -101,7 +101,7 @@ def test_gradient_in_a_tilt_is_not_logarithmic(eye: Eye) -> None:
     assert at[1].gradient[0] == pytest.approx(per_degree, rel=1e-3)
 
 
-def test_gradient_in_the_compliance_of_a_held_limbus(eye: Eye) -> None:
+def test_gradient_in_the_compliance_of_a_held_limbus_matches_a_difference(eye: Eye) -> None:
     """By a forward difference, as the parameter cannot be negative."""
     name = "limbus_compliance_mm_per_kpa"
     bounds = {name: (0, 0.01)}
@@ -128,7 +128,7 @@ def test_sum_of_squares_vanishes_at_the_truth(eye: Eye) -> None:
     assert 1e3 * np.abs(residuals.mm).max() < 0.01
 
 
-def test_exchanged_terms_are_found_by_their_values() -> None:
+def test_swapped_terms_are_found_by_their_values() -> None:
     fit: Any = {"parameters": ["mu1", "alpha1", "mu2", "alpha2"], "values": [0.01, 30, 0.03, 80]}
     names = ("mu1", "alpha1", "mu2", "alpha2")
     assert places_in_fit(fit, names, np.array([0.01, 30, 0.03, 80])) == [0, 1, 2, 3]

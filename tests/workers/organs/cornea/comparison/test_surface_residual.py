@@ -13,7 +13,7 @@ from palpate.workers.organs.cornea.section.outline import Section
 FLAT = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
 
 
-def test_distances_from_a_straight_line() -> None:
+def test_distances_from_a_straight_line_match_hand_calculation() -> None:
     r"""Points above and below ::
 
         *  0.5
@@ -36,7 +36,7 @@ def test_distance_is_positive_outside_both_surfaces() -> None:
     np.testing.assert_allclose(normals, [[0, 1, 0], [0, -1, 0]])
 
 
-def test_distances_from_a_circle_and_their_slope() -> None:
+def test_distances_from_a_circle_and_their_slope_match_hand_calculation() -> None:
     angle = np.linspace(2.5, 0.6, 400)
     circle = 7.8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     rng = np.random.default_rng(0)

@@ -45,7 +45,7 @@ def study(searched: dict[str, Any] = SEARCHED, **hidden: float) -> FinishedStudy
     )
 
 
-def test_source_round_trip_through_the_store() -> None:
+def test_source_survives_a_round_trip_through_the_store() -> None:
     source = CorneaStudySource.from_study(study())
     content = source.content
     plain = json.loads(json.dumps(to_plain(content.record)))

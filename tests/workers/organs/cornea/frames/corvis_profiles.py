@@ -60,10 +60,10 @@ class CorvisPair:
 
 
 def read_corvis_pair(folder: Path) -> CorvisPair:
-    """Return the pair of frames of the set, with the scale stated in its README.
+    """Return the pair of frames of the set, with the scale given in its README.
 
     The images are screenshots of a camera raster of 576 columns; one magnification, from
-    their mean width, applies to both. The README states the pixel size of the camera and
+    their mean width, applies to both. The README gives the pixel size of the camera and
     the shift between the two screenshots.
 
     Parameters

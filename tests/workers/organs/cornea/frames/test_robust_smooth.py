@@ -18,7 +18,7 @@ def test_preserves_a_parabola_across_gaps_and_outliers() -> None:
 
 
 @pytest.mark.parametrize(("times", "kept"), [(1.0, 0.5), (2.0, 64 / 65), (0.5, 1 / 65)])
-def test_damping_of_waves(times: float, kept: float) -> None:
+def test_short_waves_are_damped_and_long_ones_kept(times: float, kept: float) -> None:
     wave = np.sin(2 * np.pi * X / (40.0 * times))
     # Without reweighting, which is not linear; away from the ends.
     smooth = robust_smooth(wave, np.ones(400), 40.0, rounds=1)

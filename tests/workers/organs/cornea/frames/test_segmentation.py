@@ -1,4 +1,4 @@
-"""Segmentation of generated frames to a fraction of a pixel, and refusals without a cornea."""
+"""Segmentation of generated frames to a fraction of a pixel, and images without a cornea."""
 
 import numpy as np
 import pytest
@@ -117,9 +117,9 @@ def test_rejects_images_without_a_cornea() -> None:
     half = noise + 40 * (row > 120)
     blob = noise + 60 * np.exp(-(((row - 150) / 30) ** 2 + ((column - 300) / 60) ** 2))
     for grey, message in (
-        (noise, "surface of a cornea is seen in"),
+        (noise, "surface of a cornea is visible in"),
         (half, "posterior surface"),
-        (blob, "surface of a cornea is seen in"),
+        (blob, "surface of a cornea is visible in"),
         (np.full(SHAPE, 7.0), "All grey values"),
     ):
         with pytest.raises(InputError, match=message):

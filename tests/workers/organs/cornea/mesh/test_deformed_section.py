@@ -44,5 +44,5 @@ def test_smooth_displacement_converges_with_order_three() -> None:
 
 
 def test_rejects_the_displacement_of_another_mesh() -> None:
-    with pytest.raises(InputError, match="does not belong to a mesh"):
+    with pytest.raises(InputError, match="does not match a mesh"):
         deformed_section(SECTION, MESH, np.zeros((3, 2)))

@@ -91,7 +91,7 @@ def test_neighbouring_nodes_have_close_numbers() -> None:
 
 
 @pytest.mark.parametrize("elements", [30, 240, 960, 2880])
-def test_quality_and_number_of_elements(elements: int) -> None:
+def test_mesh_has_good_quality_and_about_the_requested_elements(elements: int) -> None:
     mesh = mesh_section(generated_section(), elements, JET)
     quality = t6_quality(mesh)
     assert quality.smallest_shape > 0.7

@@ -64,7 +64,7 @@ def test_unit_index_changes_nothing() -> None:
     assert np.allclose(same, section.posterior_mm, atol=1e-9)
 
 
-def test_rays_through_a_sphere_traced_backwards() -> None:
+def test_correction_matches_rays_traced_backwards_through_a_sphere() -> None:
     # From a point of the slit plane out through the sphere, parallel to the camera's ray outside:
     # find the exit point by minimising the optical path to a plane wavefront (Fermat), which
     # uses neither Snell's law nor the profile.
@@ -117,5 +117,5 @@ def test_rejects_invalid_optics() -> None:
         corrected_posterior(a, p, camera_angle_deg=90.0)
     with pytest.raises(InputError, match="above the anterior"):
         corrected_posterior(p, a[10:-10])
-    with pytest.raises(InputError, match="runs back"):
+    with pytest.raises(InputError, match="doubles back"):
         corrected_posterior(a[::-1], p)

@@ -12,7 +12,7 @@ from palpate.workers.organs.cornea.solver.cohort import (
 )
 
 
-def test_statistics_of_table_5_2() -> None:
+def test_rows_reproduce_the_statistics_of_table_5_2() -> None:
     constants = np.array([eye.constants for eye in TABLE_5_2])
     assert constants.shape == (24, 4)
     # Printed means of the shear terms are truncated to whole numbers, the others rounded.
@@ -50,7 +50,7 @@ def test_shear_modulus_varies_less_than_its_terms() -> None:
 
 
 @pytest.mark.parametrize("eye", TABLE_5_1, ids=lambda eye: eye.name)
-def test_errors_of_table_5_1(eye: SyntheticEye) -> None:
+def test_constants_reproduce_the_printed_errors_of_table_5_1(eye: SyntheticEye) -> None:
     target, estimate = np.array(eye.target), np.array(eye.estimate)
     errors = 100 * np.abs(estimate - target) / target
     assert np.allclose(errors, eye.printed_errors_percent, atol=0.05)

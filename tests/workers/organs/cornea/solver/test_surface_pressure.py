@@ -65,7 +65,7 @@ def test_a_measured_profile_is_integrated_exactly():
 
 
 @pytest.mark.parametrize("cells", [7, 40])
-def test_axial_force_of_an_axisymmetric_jet(cells):
+def test_axial_force_of_an_axisymmetric_jet_is_pressure_times_area(cells):
     """p r^2 / 2 per radian and half, on a curved surface whose nodes are not at the edge."""
     mesh = corneal_arc(2 * cells, 2)
     points = jet_points(mesh.nodes_mm, mesh.anterior, CorneaLoad(0.0), axisymmetric=True)

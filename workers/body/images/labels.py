@@ -59,7 +59,7 @@ def relabel(volume: Volume, label_map: Mapping[int, Tissue | str]) -> Volume:
     if missing:
         raise InputError(
             f"Label missing from the volume: {_joined(missing)}. It has {_listed(counts)}. "
-            f"Take it out of the map: labels: {_written(_suggestion(counts, wanted))}"
+            f"Remove it from the map: labels: {_written(_suggestion(counts, wanted))}"
         )
     unnamed = {label: count for label, count in counts.items() if label not in wanted}
     if unnamed:

@@ -19,9 +19,9 @@ from palpate.workers.body.mesh.tissue_fractions import majority_fractions, volum
 
 STEPS_PER_CELL = 3.5  # samples of the outline along one lattice cell
 COARSEST_CELL = 0.43  # of the body's shortest side
-RATIO = 2.3  # wanted ratio of cell sizes between levels
+RATIO = 2.3  # target ratio of cell sizes between levels
 LEAST_RATIO = 1.4  # smaller ratios are not worth an extra level
-COUNT_TOLERANCE = 0.06  # of the wanted number of nodes
+COUNT_TOLERANCE = 0.06  # of the target number of nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ def build_hierarchy(
 def _coarser_cells(cell_mm: float, shortest_mm: float) -> list[float]:
     """Return cell sizes of the coarser levels, in equal ratios up to the coarsest that still works.
 
-    The coarsest level (some 150 nodes) is factorised, so its size should not depend on the
+    The coarsest level (about 150 nodes) is factorised, so its size should not depend on the
     finest; the number of levels keeps the ratio near `RATIO`.
     """
     factor = shortest_mm * COARSEST_CELL / cell_mm

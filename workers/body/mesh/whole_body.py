@@ -50,9 +50,9 @@ def _check_volume(meshed_ml: float, labels: Volume) -> None:
         return
     raise InputError(
         f"The mesh has a volume of {meshed_ml:.4g} ml, but its labels cover {labelled_ml:.4g} ml: "
-        f"{meshed_ml / labelled_ml - 1:+.1%}, expected {VOLUME_TOLERANCE:.0%} at most. Only the "
-        "largest connected piece is meshed: connect the pieces of the body, or remove what does "
-        "not belong to it. Parts thinner than an element are lost: use more nodes."
+        f"a difference of {meshed_ml / labelled_ml - 1:+.1%}, expected {VOLUME_TOLERANCE:.0%} at "
+        "most. Only the largest connected piece is meshed: connect the pieces of the body, or "
+        "remove what does not belong to it. Parts thinner than an element are lost: use more nodes."
     )
 
 

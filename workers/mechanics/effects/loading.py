@@ -246,7 +246,7 @@ def self_weight(down: Triple) -> Effect:
 
 
 ADDED_MASS_NAME = "added_mass"
-# Inside a mass is in t, so that t mm/s^2 is N.
+# Internally a mass is in t, so that t mm/s^2 is N.
 GRAM = Unit("gram", "t", 1e6)
 
 

@@ -131,8 +131,8 @@ def _true_growth(given: Mapping[str, Any]) -> dict[str, float]:
     return {"ln_growth_fat": 0.0, "ln_growth_glandular": math.log1p(given["volume_fraction"])}
 
 
-# The volume of a breast changes by some 10 % over a menstrual cycle, but the scans compared are
-# taken days apart at most, so swelling is rarer than effects of the plates. Even growth looks
+# The volume of a breast changes by about 10 % over a menstrual cycle, but the scans compared are
+# taken days apart at most, so swelling is rarer than effects of the plates. Uniform growth looks
 # much like labels that are drawn too large.
 GROWTH = Effect(
     name="growth",

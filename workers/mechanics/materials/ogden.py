@@ -195,7 +195,7 @@ def _stretches(F: FloatArray, shape: Shape) -> tuple[FloatArray, FloatArray]:
     They are computed from the eigenvalues of ``C - 1``, formed without cancellation, so that
     small strains keep their digits.
     """
-    exists = np.isfinite(shape.scale)  # LAPACK refuses nan
+    exists = np.isfinite(shape.scale)  # LAPACK rejects nan
     H = np.where(exists[..., None, None], F - np.eye(3), 0.0)
     H_T = np.swapaxes(H, -1, -2)
     strain, N = np.linalg.eigh(H + H_T + H_T @ H)

@@ -44,7 +44,7 @@ from palpate.workers.organs.breast.study_noise import NUGGET_VOXELS, study_noise
 from palpate.workers.organs.normal_equations import normal_equations
 from palpate.workers.organs.organ import Residuals, logarithmic
 
-# Distance of neighbouring points: a breast of 445 ml then has some 2,000.
+# Distance of neighbouring points: a breast of 445 ml then has about 2,000.
 SPACING_MM = 4.0
 # Difference of a parameter for its derivative: of its logarithm, or relative to the interval.
 STEP = 1e-4

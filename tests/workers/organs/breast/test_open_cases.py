@@ -34,7 +34,7 @@ NAMES = sorted(p.name for p in CASES.glob("dev_*"))
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(
-        not CASES.is_dir(), reason="the open cases of FEBio are not beside the project"
+        not CASES.is_dir(), reason="the open cases of FEBio are not next to the project"
     ),
 ]
 

@@ -30,7 +30,7 @@ from palpate.workers.units import KPA, Unit
 ALONG_X: Triple = (1.0, 0.0, 0.0)
 ALONG_Y: Triple = (0.0, 1.0, 0.0)
 AXES = {"x": ALONG_X, "y": ALONG_Y}
-# Names inside of the constants of the model, by their keys.
+# Internal names of the constants of the model, by their keys.
 CONSTANTS = {
     "E_fat_kpa": "E_fat",
     "E_glandular_kpa": "E_gl",
@@ -38,11 +38,11 @@ CONSTANTS = {
     "eta_glandular_kpa": "eta_glandular",
 }
 FIBRES = {"eta_fat_kpa", "eta_glandular_kpa"}
-# Name inside of a fibre stiffness that both tissues share.
+# Internal name of a fibre stiffness that both tissues share.
 ONE_FIBRE = "eta"
 NU = "nu"
 NU_BELOW = 0.5
-# Tolerance between the stated plate positions and the stated distance.
+# Tolerance between the given plate positions and the given distance.
 DISTANCE_SLACK_MM = 0.5
 
 

@@ -33,7 +33,7 @@ def check_bodies(facts: BreastFacts) -> Iterator[Finding]:
             yield from check(scan)
 
 
-# A group is checked only if no earlier one refuses: its findings would be consequences.
+# A group is checked only if no earlier one rejects the input: its findings would be consequences.
 CHECKS: tuple[tuple[Check, ...], ...] = (
     (check_bodies, check_outline, check_volumes),
     (check_places, check_thickness),

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from palpate.workers.organs.breast.plausibility.scan_facts import BreastFacts, PlateLoad, Scan
 from palpate.workers.organs.study_checks import Finding
 
-# Tolerance of a stated plate position relative to a scan.
+# Tolerance of a given plate position relative to a scan.
 PLATE_MM, PLATE_VOXELS = 2.0, 2.0
 # Gap between plate and body that is allowed at the start: contact and one voxel.
 START_MM = 2.0

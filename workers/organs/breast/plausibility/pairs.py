@@ -32,7 +32,7 @@ NOT_MOVED = 0.98
 OTHER_AXIS, ALONG = 1.5, 0.7
 # Tolerance for a body that is thicker under the larger force: segmentation and voxels.
 THICKNESS_VOXELS = 2.0
-# Difference of glandular shares above which exchanged labels are considered.
+# Difference of glandular shares above which swapped labels are considered.
 GLAND_SHARE = 0.1
 # Share of glandular voxels in the outline above which fat and gland look swapped.
 GLAND_OUTSIDE = 0.75

@@ -36,7 +36,7 @@ STIFFNESS_GRADIENT = Effect(
             name,
             NUMBER,
             1.0,
-            f"ln of the ratio of the stiffness in the middle to that at the end of {name[-1]}",
+            f"ln of the ratio of the stiffness at the end of {name[-1]} to that in the middle",
             reading=ratio(f"times as stiff at the end of {name[-1]} as in the middle"),
         )
         for name in STIFFNESS_GRADIENT_NAMES

@@ -173,7 +173,7 @@ def _force_n(force: ForceSpec, down: Triple) -> Triple:
 
 
 def free_constants(spec: SpecimenSpec) -> list[FreeConstant]:
-    """Return the fitted constants: E of each material, 1 - 2 nu if nu is an interval, shapes.
+    """Return the fitted constants: E of each material, 1 - 2 nu if nu is fitted, shape constants.
 
     The fit uses 1 - 2 nu because nu must stay below 0.5, which a normal prior on its logarithm
     cannot ensure. The interval of nu bounds the fit; the interval of E is a prior that contains E

@@ -55,7 +55,7 @@ def test_every_level_is_sound(meshes):
 
 
 @pytest.mark.parametrize("nodes", [2000, 12000])
-def test_volume_and_wall_of_the_half_ellipsoid(breast, breast_mm3, nodes):
+def test_volume_and_wall_match_the_half_ellipsoid(breast, breast_mm3, nodes):
     level = build_hierarchy(breast, nodes=nodes).finest
     assert len(level.mesh.nodes) == pytest.approx(nodes, rel=0.1)
     assert volumes_mm3(level.mesh).sum() == pytest.approx(breast_mm3, rel=0.01)
@@ -182,7 +182,7 @@ def test_spatial_neighbours_are_close_in_memory(meshes):
     assert np.all(np.diff(mesh.tets.min(axis=1)) >= 0)
 
 
-def test_arrays_round_trip(meshes):
+def test_arrays_survive_a_round_trip(meshes):
     again = from_arrays(to_arrays(meshes))
     assert again.element_size_mm == meshes.element_size_mm
     assert len(again.levels) == len(meshes.levels)

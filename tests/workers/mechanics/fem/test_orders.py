@@ -147,7 +147,7 @@ def study(c: Constants, *, plain: bool) -> FloatArray:
 @pytest.mark.parametrize(
     ("nu", "plain"), [(0.3, False), (0.3, True), (0.49, False)], ids=["0.3", "0.3 plain", "0.49"]
 )
-def test_displacement_and_stress_converge_at_their_orders(nu, plain):
+def test_displacement_and_stress_converge_at_the_expected_orders(nu, plain):
     found = study(Constants(0.01, nu, fibre_mpa=0.003), plain=plain)
     displacement, stresses = np.log2(found[-2] / found[-1])
     assert displacement == pytest.approx(2, abs=0.15)

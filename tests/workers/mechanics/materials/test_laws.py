@@ -54,7 +54,7 @@ def test_ogden_tangent_is_smooth_at_equal_stretches(alpha):
         assert np.abs(near - met).max() < (30 * gap + 1e-13) * size
 
 
-def test_small_strains_keep_their_digits():
+def test_small_strains_keep_full_precision():
     """Strains of 1e-8 give energies of 1e-16 of the modulus."""
     e = 1e-8
     F = np.diag([1 + e, 1.0, 1 / (1 + e)])

@@ -138,7 +138,7 @@ class CaseReader:
     plans = True
 
     def knows(self, path: Path) -> bool:
-        """Return True if a path is a case, or a folder with one."""
+        """Return True if a path is the file of a case, or a folder that contains one."""
         if path.is_dir():
             return any((path / name).is_file() for name in CASE_FILES)
         if not path.is_file() or path.suffix not in (*YAML, ".json"):

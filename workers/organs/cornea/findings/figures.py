@@ -68,7 +68,7 @@ def _curve(numbers: Mapping[str, Any], derived: Sequence[Mapping[str, Any]]) -> 
     axes.axvline(curve["attained"], color=SOFT, linestyle=":", linewidth=1.2)
     bars = " with 90 % intervals" if known else ""
     return shown, (
-        f"Stress over stretch of the fitted law, for a strip under tension{bars}. Dotted: the "
+        f"Stress against stretch for the fitted law, for a strip under tension{bars}. Dotted: the "
         "largest stretch in this eye; the image does not determine the curve beyond it."
     )
 

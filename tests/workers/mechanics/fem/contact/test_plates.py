@@ -349,7 +349,7 @@ def test_bowed_plate_equals_a_flat_plate_on_a_bowed_body():
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 @pytest.mark.parametrize("force_n", [0.001, 0.03, 0.3])
-def test_body_touching_the_fixed_plate_is_compressed_by_linear_elasticity(force_n, share):
+def test_body_touching_the_fixed_plate_is_compressed_as_in_linear_elasticity(force_n, share):
     """Only the moving plate presses at first. Small strains: E A d / L."""
     E, side = 0.01, 20.0
     model = body([(4, 4, 4)], box(side, side, side, origin=(-10.0, 0.0, 0.0)), jitter=0.1)

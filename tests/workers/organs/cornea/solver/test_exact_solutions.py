@@ -55,7 +55,7 @@ def error_mm(mesh, u, radial):
 
 
 @pytest.mark.parametrize("kind", BODIES)
-def test_small_pressure_matches_lame(kind):
+def test_small_pressure_matches_the_lame_solution(kind):
     mesh = quarter_ring(16, 6)
     pressure = 1e-6
     u = inflated(mesh, kind, pressure, X1)

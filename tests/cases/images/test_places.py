@@ -120,7 +120,7 @@ class TestNifti:
         [
             (
                 affine(1.0, 1.0, 1.0),
-                r"1 x 1 x 1 mm according to its sform, 2 x 2 x 2 mm according to its qform",
+                r"1 x 1 x 1 mm according to its sform, but 2 x 2 x 2 mm according to its qform",
             ),
             (affine(2.4, 2.2, 2.6), r"2\.4 x 2\.2 x 2\.6 mm according to its sform"),
             (affine(2.0, 2.0, 2.01), r"2 x 2 x 2\.01 mm according to its sform"),
@@ -147,7 +147,7 @@ class TestNifti:
             tmp_path / "a.nii", breast(), sform=affine(1.0, 1.0, 1.0), qform=PLACED, codes=(1, 0)
         )
         with pytest.raises(
-            InputError, match=r"according to its sform, 2 x 2 x 2 mm according to its pixdim"
+            InputError, match=r"according to its sform, but 2 x 2 x 2 mm according to its pixdim"
         ):
             read_volume(path)
 
@@ -190,7 +190,10 @@ class TestDicom:
     def test_refuses_tags_that_contradict_positions(
         self, tmp_path: Path, tag: str, stated: float
     ) -> None:
-        said = rf"2 mm apart by their positions, expected {stated:g} mm by its {tag}"
+        said = (
+            rf"2 mm apart according to their positions, expected {stated:g} mm "
+            rf"according to its {tag}"
+        )
         with pytest.raises(InputError, match=said):
             read_volume(write_series(tmp_path / "s", breast(), **{tag: stated}))
         with pytest.raises(InputError, match=said):

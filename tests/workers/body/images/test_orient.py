@@ -207,7 +207,7 @@ class TestOblique:
 
     def test_refuses_two_parallel_axes(self, numbered: NDArray[np.uint16]) -> None:
         steps = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-        with pytest.raises(InputError, match="same way"):
+        with pytest.raises(InputError, match="in the same direction"):
             to_volume(Scan.with_steps(numbered, steps, ORIGIN), "odd")
 
 

@@ -86,7 +86,7 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
     ),
     (
         "movement during the scan",
-        "a body that moves while it is scanned is drawn blurred, not displaced",
+        "a body that moves while it is scanned appears blurred, not displaced",
     ),
     (
         "uneven chest wall",

@@ -138,7 +138,7 @@ def check_moved(facts: BreastFacts) -> Iterator[Finding]:
             under = "a load" if load.force_n is None else f"{load.force_n:g} N"
             yield Finding(
                 "implausible",
-                f"{scan.file} shows the same as {rest.file} in {same:.1%} of the body's voxels: "
+                f"{scan.file} agrees with {rest.file} in {same:.1%} of the body's voxels: "
                 f"nothing moved under {under}, so the stiffness cannot be found. Give the scan "
                 "under load.",
             )

@@ -38,7 +38,7 @@ def voted(at_nodes, at_centroid, elsewhere=AIR):
         ((FAT, FAT, GLAND, GLAND), LIGAMENT, FAT),  # 2 to 2 to 1, the centroid not among the first
     ],
 )
-def test_five_points_vote(at_nodes, at_centroid, tissue):
+def test_five_points_vote_for_the_tissue(at_nodes, at_centroid, tissue):
     assert voted(at_nodes, at_centroid) == tissue
 
 
@@ -47,7 +47,7 @@ def test_tetrahedron_in_air_gets_the_nearest_tissue():
     assert voted((AIR,) * 4, AIR) == FAT
 
 
-def test_fractions_of_two_layers(breast):
+def test_fractions_of_two_layers_match_their_volumes(breast):
     # Half ellipsoid cut at z = h: the volume below is pi a b (h - h^3 / (3 c^2)).
     values = breast.values.copy()
     height = 20.0

@@ -99,7 +99,7 @@ def test_tissue_fractions_do_not_depend_on_the_voxel_size():
         assert values == pytest.approx([values[0]] * 3, rel=0.03)
 
 
-def test_no_skin_and_no_ligament_if_not_requested():
+def test_has_no_skin_or_ligament_unless_requested():
     labels = generate_breast(BreastPhantom(spacing_mm=2.0, skin_mm=0, ligament_mm=0), 1).labels
     assert set(np.unique(labels.values)) == {Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR}
 

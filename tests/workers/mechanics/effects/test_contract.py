@@ -173,7 +173,7 @@ def test_rejects_inconsistent_fields():
     assert replace(friction, searched_as=("rubbing",)).is_searched({"rubbing"})
 
 
-def test_proportional_unless_local_or_one_sided():
+def test_effects_are_proportional_unless_local_or_one_sided():
     proportional = {e.name for e in BREAST_EFFECTS if e.is_proportional}
     assert {"plate_tilt", "gravity_change", "growth"} < proportional
     assert not proportional & {"plate_friction", "inclusion", "local_attachment", "plate_edge"}

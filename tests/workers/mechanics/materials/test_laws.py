@@ -106,6 +106,6 @@ def test_rejects_invalid_constants(make, words):
 
 
 @pytest.mark.parametrize("name", [m.name for m in pkgutil.iter_modules(materials.__path__)])
-def test_docstring_examples(name):
+def test_docstring_examples_pass(name):
     module = importlib.import_module(f"palpate.workers.mechanics.materials.{name}")
     assert doctest.testmod(module).failed == 0

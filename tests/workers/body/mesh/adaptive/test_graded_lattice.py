@@ -79,7 +79,7 @@ def test_has_no_hanging_nodes(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_volumes_and_shapes(seed: int) -> None:
+def test_tetrahedra_fill_their_boundary_and_have_known_shapes(seed: int) -> None:
     lattice = lattice_of(seed)
     volumes = volumes_mm3(lattice.mesh)
     assert volumes.min() > 0

@@ -164,7 +164,7 @@ def test_two_moving_plates_equal_one_and_a_shift():
     np.testing.assert_allclose(shift - [0.0, travel / 2, 0.0], 0, atol=1e-5)
 
 
-def test_bowed_plate_presses_by_the_volume_of_its_cap():
+def test_force_of_a_bowed_plate_follows_the_volume_of_its_cap():
     """On a body that has not moved, the depth d - (c1 x^2 + c2 z^2) / 2 over its ellipse
     has the volume pi d^2 / sqrt(c1 c2); the penalty makes a force of it."""
     c1, c2, d = 0.02, 0.03, 0.5

@@ -165,7 +165,7 @@ def test_energy_and_force_but_not_the_tangent_are_continuous(border, across):
 
 @pytest.mark.parametrize("narrowed", [1.0, 0.8, 0.3, 0.0])
 @pytest.mark.parametrize(("along", "end", "width"), [(0, [1, 2], 3), (1, [2, 3], 2)])
-def test_strip_narrower_than_its_free_width_pulls_like_a_free_one(along, end, width, narrowed):
+def test_strip_narrower_than_its_free_width_pulls_like_a_free_strip(along, end, width, narrowed):
     """mu t (l - l^-2) along, nothing across; narrowed to a line it is still a strip."""
     l = 1.5
     x = SQUARE * np.where(np.arange(3) == along, l, narrowed * l**-0.5)

@@ -97,7 +97,10 @@ def test_overstretched_fung_is_infinite_without_warnings():
             lambda: Ogden.from_convention("ansys", (1.0,), (2.0,)),
             "ogden, abaqus, febio; got 'ansys'",
         ),
-        (lambda: Ogden.from_convention("abaqus", (1.0,), (0.0,)), "exponent 0"),
+        (
+            lambda: Ogden.from_convention("abaqus", (1.0,), (0.0,)),
+            "exponents of an Ogden law must not be 0",
+        ),
     ],
 )
 def test_rejects_invalid_constants(make, words):

@@ -121,12 +121,12 @@ def _state(misfits: Misfits, number: int, times: float, named: str, width: float
     every = np.arange(0, len(misfits.points), -(-len(misfits.points) // POINTS))
     for view, panel in zip(views, panels(misfits.points, views, width, top), strict=True):
         panel.axes(svg, *(f"{'xyz'[axis]}, mm" for axis in view))
-        points = misfits.points[np.ix_(every, view)]
+        points = misfits.points[every][:, list(view)]
         places = [(panel.across.at(x), panel.up.at(y)) for x, y in points.tolist()]
         svg.dots(places, "cloud", stroke_width=4)
         for left, class_ in ((misfits.before, "left-before"), (misfits.after, "left-after")):
             if left is not None:
-                _arrows(svg, panel, points, times * left[number][np.ix_(every, view)], class_)
+                _arrows(svg, panel, points, times * left[number][every][:, list(view)], class_)
         svg.height = max(svg.height, panel.up.start + BELOW_PX)
     return svg
 

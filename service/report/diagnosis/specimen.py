@@ -150,7 +150,7 @@ def _state(one: Movement, times: float, named: str, width: float) -> Svg:
             ("after", "cross", "left-after", 3.0),
         ]
         for name, mark, class_, size in signs:
-            places = drawn[name][np.ix_(every, view)].tolist() if name in drawn else []
+            places = drawn[name][every][:, list(view)].tolist() if name in drawn else []
             for x, y in places:
                 svg.mark(mark, panel.across.at(x), panel.up.at(y), class_, size)
         svg.height = max(svg.height, panel.up.start + BELOW_PX)

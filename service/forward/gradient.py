@@ -81,7 +81,7 @@ def _displacement(at: Equilibrium, problem: Problem, parameter: Parameter) -> Fl
     solution = equilibrium(at.imaged, problem, at).solution
     if not solution.outcome.converged:
         raise InputError(
-            f"There is no derivative with respect to {parameter.door_name}: a nearby simulation "
-            f"diverged: {solution.outcome.reason}."
+            f"The derivative with respect to {parameter.door_name} cannot be computed: a nearby "
+            f"simulation diverged ({solution.outcome.reason})."
         )
     return solution.displacement_mm

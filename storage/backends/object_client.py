@@ -207,7 +207,7 @@ def _client(
         from obstore import store
     except ImportError as error:
         raise StoreError(
-            f"{bucket} is an object store, which needs obstore. Install it everywhere with "
+            f"{bucket} is an object store, which needs obstore. Install it on every machine with "
             "`pip install 'palpate[cloud]'`, or give a local folder."
         ) from error
     from obstore.exceptions import BaseError

@@ -31,7 +31,7 @@ LOW = 0.1
 
 
 def heat_map(table: Confusion) -> Figure:
-    """Draw a table of truths (rows) and answers (columns); correct answers have a frame."""
+    """Draw a table of truths (rows) and answers (columns); with correct answers framed."""
     counts = np.array(table.counts)
     drawn = figure(WIDTH_IN, 1.6 + 0.34 * len(table.rows))
     axes = drawn.subplots()

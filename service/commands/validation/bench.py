@@ -40,7 +40,7 @@ def bench(
 ) -> None:
     """Measure the time and memory of each stage of a simulation.
 
-    The stages are phantom, mesh, solver, warp and score. The thesis' own size is --nodes 90000
+    The stages are phantom, mesh, solver, warp and score. The thesis used --nodes 90000
     --spacing 0.2. --service measures everything but the simulations and takes about ten minutes.
     --diagnosis times the tasks of a diagnosis and projects the total time for more workers. To
     compare with CalculiX, an independent solver, run python -m tests.benchmarks.independent in the

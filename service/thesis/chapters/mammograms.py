@@ -15,7 +15,7 @@ from palpate.workers.thesis.scale import Scale
 
 
 def chapter(found: Sequence[Exposed], cost: Cost | None, store: str, scale: Scale) -> Chapter:
-    """Return the chapter of thesis Fig. 4.18."""
+    """Return the chapter that reproduces Fig. 4.18 of the thesis."""
     least = min((e.attenuation_rms / e.quantum_rms for e in found), default=0.0)
     most = max((e.attenuation_rms / e.quantum_rms for e in found), default=0.0)
     return Chapter(

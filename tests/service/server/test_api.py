@@ -28,7 +28,7 @@ def until(client: Client, identifier: str, *states: str, patience_s: float = 120
     return job
 
 
-def test_a_study_over_http_equals_one_run_here(
+def test_a_study_over_http_equals_one_run_locally(
     service: ServiceProcess, client: Client, tmp_path: Path
 ) -> None:
     run(tmp_path / "here", Inline(), small_spec(named("calm")))

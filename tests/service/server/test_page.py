@@ -191,7 +191,9 @@ def test_charts_respond_to_keys(shown: Shown, served: ServiceProcess) -> None:
     page.wait_for_selector("dialog:not([open])", state="attached")
 
 
-def test_slices_slide_and_the_body_turns(shown: Shown, served: ServiceProcess) -> None:
+def test_slider_changes_the_slice_and_dragging_turns_the_body(
+    shown: Shown, served: ServiceProcess
+) -> None:
     with served.client() as client:
         client.submit_study(named("bodies").replace("seed: 7", "seed: 9"))
     shown.open("bodies")

@@ -52,7 +52,7 @@ def test_only_the_submitter_or_an_admin_changes_a_job() -> None:
         writer(reader)
 
 
-def test_streams_end_with_their_token(tmp_path: Path) -> None:
+def test_streams_end_when_their_token_is_removed(tmp_path: Path) -> None:
     class Stub:
         def __init__(self, **values: Any) -> None:
             self.__dict__.update(values)

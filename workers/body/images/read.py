@@ -136,7 +136,7 @@ def _folder_reader(folder: Path) -> tuple[str, Reader]:
         )
     tiff = suffixes & set(TIFF_SUFFIXES)
     if tiff and ".dcm" in suffixes:
-        raise InputError(f"{folder} mixes TIFF and DICOM slices. Give one folder for each image.")
+        raise InputError(f"{folder} mixes TIFF and DICOM slices. Put each image in its own folder.")
     whole = sorted(suffixes & {".nrrd", ".nhdr", ".nii", ".gz", ".npy"})
     if whole and not tiff and ".dcm" not in suffixes:
         raise InputError(

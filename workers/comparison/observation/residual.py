@@ -23,7 +23,7 @@ class Observed:
     Parameters
     ----------
     distances : tuple of SignedDistance
-        Signed distances, in the order of the interfaces of the points.
+        Signed distance to each interface, in the order of the points.
     """
 
     distances: tuple[SignedDistance, ...]

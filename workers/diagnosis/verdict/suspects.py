@@ -101,7 +101,7 @@ class _Extended(NamedTuple):
 
 
 def _extended(analysis: NominalAnalysis, known: Catalogue, fitted: JointFit) -> list[_Extended]:
-    """Return a joint fit extended by each effect that its residuals support, the best first.
+    """Return the extensions of a joint fit by one effect that its residuals support, best first.
 
     The support is computed from the sensitivities at the nominal fit.
     """

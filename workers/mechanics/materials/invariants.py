@@ -44,8 +44,8 @@ class Shape:
     G : ndarray, shape (..., 3, 3)
         Its inverse, transposed.
     scale : ndarray, shape (...)
-        ``J^(-1/3)`` of the original: each derivative in the original F contributes this
-        factor once.
+        ``J^(-1/3)`` of the original: each derivative with respect to the original F
+        contributes this factor once.
     """
 
     F: FloatArray
@@ -130,7 +130,7 @@ def tangent_of_first(shape: Shape, w1: Scalar, w11: Scalar) -> FloatArray:
 def tangent_of_quadratic(
     shape: Shape, I: FloatArray, g: FloatArray, S: FloatArray, w: Scalar, ww: Scalar
 ) -> FloatArray:
-    """Return the second derivative in F of a law of one invariant ``I = tr(F S F^T)`` at J = 1.
+    """Return d2W/dF2 at J = 1 of a law W of one invariant, ``I = tr(F S F^T)``.
 
     Parameters
     ----------

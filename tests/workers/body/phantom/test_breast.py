@@ -39,7 +39,7 @@ def test_glandular_fraction_by_volume_is_within_one_percent(preset, spacing, see
     assert phantom.facts["glandular_fraction"] == pytest.approx(computed)
 
 
-def test_few_large_compartments_meet_the_fraction_by_splitting_one():
+def test_glandular_fraction_is_met_by_splitting_a_large_compartment():
     settings = BreastPhantom(spacing_mm=1.0, compartments=20, glandular_fraction=0.07)
     phantom = generate_breast(settings, 2)
     assert phantom.facts["split_compartment"]
@@ -150,7 +150,7 @@ def test_last_place_goes_to_a_compartment_that_fits():
     assert (list(choice.whole), choice.split) == ([0], None)
 
 
-def test_odds_fall_from_the_nipple_axis_to_the_skin():
+def test_odds_of_glandular_tissue_fall_from_the_nipple_axis_to_the_skin():
     settings = BreastPhantom()
     outwards = np.column_stack([np.zeros(20), np.linspace(0, 40, 20), np.full(20, 25.0)])
     assert np.all(np.diff(gland_weight(settings, outwards)) < 0)

@@ -338,7 +338,7 @@ def test_mesh_fills_a_concave_outline_and_has_edges_along_borders():
         found.at_points(np.array([[25.0, 25.0, 0.0]]), 3.0)
 
 
-def test_even_load_is_shared_by_area_and_by_length():
+def test_uniform_load_is_shared_by_area_or_by_edge_length():
     found = sheet_mesh(RECTANGLE, [ACROSS], 300, THICKNESS)
     x = found.nodes[:, 0]
     whole = found.shares(np.ones(len(x), bool))

@@ -114,7 +114,7 @@ def test_inconsistent_load_has_no_equilibrium(problem: CorneaProblem) -> None:
     assert "jet" in off.solution.outcome.reason
 
 
-def test_derivative_in_the_compliance_of_a_held_limbus_matches_a_difference(
+def test_derivative_with_respect_to_limbus_compliance_matches_a_difference(
     problem: CorneaProblem,
 ) -> None:
     """An elastic limbus has other unknowns than a held one."""

@@ -201,7 +201,7 @@ def test_files_of_lists_all_inputs(source, tmp_path):
 
 def test_names_a_missing_recording(tmp_path):
     path = write(tmp_path, described())
-    with pytest.raises(InputError, match=r"names bare\.csv, which is not at"):
+    with pytest.raises(InputError, match=r"names bare\.csv, which is not in"):
         read_experiment(path)
 
 

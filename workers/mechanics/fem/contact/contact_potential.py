@@ -60,7 +60,7 @@ class ContactPotential:
     travel_force : float
         dE/dt, the force that closes the plates, in N.
     coupling : ndarray, shape (c, 3)
-        Mixed second derivative in x and t, in N/mm.
+        Mixed second derivative with respect to x and t, in N/mm.
     travel_stiffness : float
     """
 

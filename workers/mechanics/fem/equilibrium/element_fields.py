@@ -134,7 +134,7 @@ def _of_invariant(
     slope: FloatArray,
     J: FloatArray,
 ) -> FloatArray:
-    """Return dW/dF of a W whose derivative in ``phi(J) F A : F`` is `rate`, shape (m,)."""
+    """Return dW/dF of a W with dW/dy = `rate`, shape (m,), for y = ``phi(J) F A : F``."""
     invariant = np.einsum("eij,eij->e", FA, F)
     cofactor = J[:, None, None] * np.linalg.inv(F).transpose(0, 2, 1)
     straight = 2 * (rate * phi)[:, None, None] * FA

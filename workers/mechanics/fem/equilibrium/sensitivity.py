@@ -5,7 +5,7 @@ With the out-of-balance force R(x, phi) = 0 at an equilibrium,
 .. math:: K \, dx/d\phi = - \partial R / \partial \phi .
 
 The right-hand side is a difference of two forces at the same positions, which costs no
-solve. Where friction or follower pressure act, their non-symmetric derivative in x is
+solve. Where friction or follower pressure act, their non-symmetric derivative with respect to x is
 added; see `coupled_tangent`. With friction, the slip of earlier load steps is held.
 """
 

@@ -206,7 +206,7 @@ class Level:
         return replace(state, history=replace(state.history, friction=friction))
 
     def update_history(self, state: State, stage: Stage) -> State:
-        """Update friction and follower pressure to the current positions."""
+        """Update friction and follower pressure for the current positions."""
         history = state.history
         if history.friction:
             contacts = self.plate_contacts(state, stage)

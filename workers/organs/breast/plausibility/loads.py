@@ -14,7 +14,7 @@ ABSURD_STRAIN = 5.0
 
 
 def check_force(facts: BreastFacts) -> Iterator[Finding]:
-    """Reject a force that would hardly move the plates, or crush the body.
+    """Reject a force that would hardly move the plates or would crush the body.
 
     The estimate is linear: force times thickness divided by Young's modulus and mean section.
     """

@@ -207,19 +207,19 @@ def shear_modulus_bound(
 ) -> float:
     """Return the Cramer-Rao bound of the relative error of G0 = 1/2 sum mu alpha.
 
-    The bound uses the gradient of ln G0 in the logarithms of the constants.
+    The bound uses the gradient of ln G0 with respect to the logarithms of the constants.
     """
     gradient = shear_modulus_slope(constants)
     return float(np.sqrt(gradient @ information.covariance(noise) @ gradient))
 
 
 def shear_modulus_slope(constants: CorneaConstants) -> FloatArray:
-    """Return the gradient of ln G0 in the logarithms of the constants."""
+    """Return the gradient of ln G0 with respect to the logarithms of the constants."""
     return _gradient(constants, lambda c: np.array([np.log(c.shear_modulus_mpa)]))[0]
 
 
 def stress_slope(constants: CorneaConstants, stretch: float) -> FloatArray:
-    """Return the gradient of ln stress at a stretch in the logarithms of the constants."""
+    """Return the gradient of ln stress at a stretch with respect to the logarithms."""
     at = np.array([stretch])
     return _gradient(constants, lambda c: np.log(uniaxial_stress_mpa(c, at)))[0]
 

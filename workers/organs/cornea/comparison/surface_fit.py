@@ -186,7 +186,7 @@ def _change(
 
 
 def _by_solving(ahead: Candidate, displacement_mm: FloatArray, step: float) -> FloatArray:
-    """Return the derivative in a parameter at zero, by a forward difference; zero if it fails."""
+    """Return a forward difference with respect to a parameter at zero; zero if it fails."""
     solution = equilibrium(ahead.prepared, ahead.constants, ahead.load).solution
     if not solution.converged:
         return np.zeros_like(displacement_mm)

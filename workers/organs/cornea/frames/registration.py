@@ -72,7 +72,8 @@ def register_periphery(
     if not (outer_mm > 0 and last - first >= 3 * outer_mm):
         raise InputError(
             f"The two frames share {last - first:.2f} mm of the cornea, too little for a periphery "
-            f"of {outer_mm} mm on each side. Give a smaller periphery, or frames of one eye."
+            f"of {outer_mm} mm on each side. Give a smaller periphery, or two frames of the same "
+            "eye."
         )
     middle = 0.5 * (first + last)
     centre = (middle, float(np.interp(middle, *undeformed.anterior_mm.T)))

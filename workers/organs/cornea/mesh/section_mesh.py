@@ -133,7 +133,7 @@ def _structured(section: Section, stations: FloatArray, layers: int) -> T6Mesh:
 
 
 def _triangles(number: IntArray) -> IntArray:
-    """Return two triangles for every 3 x 3 nodes of a grid, first axis along the cornea."""
+    """Return two triangles for each 3 x 3 block of nodes; the first axis runs along the cornea."""
     triangles = []
     for i in range(0, number.shape[0] - 2, 2):
         for j in range(0, number.shape[1] - 2, 2):

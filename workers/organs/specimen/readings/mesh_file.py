@@ -136,7 +136,7 @@ def _check_kinds(path: Path, blocks: list[tuple[str, Indices]]) -> None:
     if not set(counts) & (set(VOLUMES) | set(SURFACES)):
         found = ", ".join(counts) or "no cells"
         raise InputError(
-            f"{path} must have volume cells such as tetrahedra, or a surface of triangles, found "
+            f"{path} must have volume cells such as tetrahedra, or a surface of triangles; found "
             f"{found}."
         )
 

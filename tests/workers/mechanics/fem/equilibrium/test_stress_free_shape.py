@@ -66,8 +66,8 @@ def test_reversed_gravity_is_relative_to_the_image(at_rest, imaged):
 
 
 def test_tangent_includes_the_change_of_the_stress_free_shape(imaged):
-    """The derivative in ln E of a body imaged and pressed under its weight agrees with differences
-    of full solutions. With the shape held it would be off by a half."""
+    """The derivative with respect to ln E of a body imaged and pressed under its weight
+    agrees with differences of full solutions. With the shape held it would be off by a half."""
     turned = tuple(-g for g in G)
 
     def problem(log_change: float) -> Problem:

@@ -11,7 +11,7 @@ from palpate.service.report.drawing.palette import INK, TISSUES
 from palpate.service.report.drawing.slices import AXES, VIEWS, Section, View, middle_mm, section
 from palpate.storage.backends.atomic import explained, replacing
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.images.orient import opposite, world_axes
+from palpate.workers.body.images.orient import end_areas_mm2, opposite, world_axes
 
 MEANING = {
     "x": "across the compression",
@@ -116,19 +116,12 @@ def doubt(volume: Volume, letters: tuple[str, str, str] | None = None) -> str:
             f"anterior. Give --axes with A as the third letter, such as 'L S A' for a "
             f"cranio-caudal compression."
         )
-    area = (np.asarray(volume.values) != Tissue.AIR).sum(axis=(1, 2))
-    filled = np.flatnonzero(area)
-    if len(filled) < 4:
-        return ""
-    area = area[filled[0] : filled[-1] + 1]
-    tenth = max(1, len(area) // 10)
-    wall, nipple = float(area[:tenth].mean()), float(area[-tenth:].mean())
+    wall, nipple = end_areas_mm2(volume)
     if wall >= nipple:
         return ""
-    pixel_cm2 = volume.spacing_mm[0] * volume.spacing_mm[1] / 100
     return (
-        f"The body is wider at the high end of z ({nipple * pixel_cm2:.3g} cm2) than at the low "
-        f"end ({wall * pixel_cm2:.3g} cm2), where the chest wall should be. If z does not run from "
+        f"The body is wider at the high end of z ({nipple / 100:.3g} cm2) than at the low "
+        f"end ({wall / 100:.3g} cm2), where the chest wall should be. If z does not run from "
         "chest wall to nipple, give --axes, such as -x,y,-z."
     )
 

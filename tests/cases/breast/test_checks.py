@@ -196,6 +196,14 @@ def test_mesh_without_a_part_of_the_body_is_refused(nodes: int) -> None:
         mesh_whole_body(gaps(at_rest(), 9, 10, 11), nodes=nodes)
 
 
+@pytest.mark.parametrize("axes", ["xz", "yz"])
+def test_bodies_with_their_chest_wall_at_the_high_end_of_z_are_refused(axes: str) -> None:
+    rest, scan = (flipped(volume, axes) for volume in usual_pair())
+    found = texts(findings(rest, scan))
+    assert "cm2 at the high end of z" in found
+    assert "z seems to run from nipple to chest wall" in found
+
+
 @pytest.mark.parametrize("factor", [1e-3, 0.1, 10.0, 1000.0])
 def test_body_in_another_unit_is_refused(factor: float) -> None:
     rest, scan = (scaled(volume, factor) for volume in usual_pair())

@@ -15,11 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
-from palpate.storage.values import FloatArray, Triple, Volume
+from palpate.storage.values import FloatArray, Tissue, Triple, Volume
 from palpate.workers.body.images.scan import SPACING_TOLERANCE, Scan
 
 OBLIQUE_DEG = 1.0
 """Index axes further than this from a world axis are refused, in degrees."""
+
+# Part of a body at either end whose cross-sections are averaged.
+END_PART = 0.1
 
 AxisOrder = NDArray[np.intp]
 
@@ -243,3 +246,16 @@ def anatomical_directions(axes: str | None) -> tuple[str, str, str]:
 def opposite(letter: str) -> str:
     """Return the opposite anatomical direction."""
     return "RLAPIS"["LRPASI".index(letter)]
+
+
+def end_areas_mm2(labels: Volume) -> tuple[float, float]:
+    """Return the mean cross-section near the low and near the high end of a body along z.
+
+    In mm2; both are 0 for an empty volume.
+    """
+    area = np.count_nonzero(labels.values != Tissue.AIR, axis=(1, 2))
+    area = area[area > 0] * labels.spacing_mm[0] * labels.spacing_mm[1]
+    if not len(area):
+        return 0.0, 0.0
+    few = max(1, round(END_PART * len(area)))
+    return float(area[:few].mean()), float(area[-few:].mean())

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 
-from palpate.workers.organs.breast.plausibility.scan_facts import Scan
+from palpate.workers.body.images.orient import end_areas_mm2
+from palpate.workers.organs.breast.plausibility.scan_facts import BreastFacts, Scan
 from palpate.workers.organs.study_checks import Finding
 
 # The longest side of a breast on its chest wall, in mm.
@@ -13,6 +14,9 @@ USUAL_MM = (50.0, 400.0)
 POSSIBLE_ML = (10.0, 5000.0)
 # Share of the body below which detached pieces count as specks of the segmentation.
 SPECKS = 0.01
+# Ratio of the cross-section at the far end of z to that at the chest wall above which z runs the
+# wrong way.
+REVERSED = 1.5
 
 
 def check_volume_range(scan: Scan) -> Iterator[Finding]:
@@ -61,6 +65,22 @@ def check_pieces(scan: Scan) -> Iterator[Finding]:
         f"ml{more}; the largest is {1 - share:.1%} of it, and only that one is simulated. "
         "Connect the pieces, or remove what is not the breast.",
     )
+
+
+def check_chest_wall(facts: BreastFacts) -> Iterator[Finding]:
+    """Reject a body at rest that is widest at the end of z where its nipple should be."""
+    if facts.rest is None:
+        return
+    rest = facts.rest
+    wall, nipple = end_areas_mm2(rest.labels)
+    if nipple > REVERSED * wall:
+        yield Finding(
+            "implausible",
+            f"The body in {rest.file} has a cross-section of {_number(nipple / 100)} cm2 at the "
+            f"high end of z and of {_number(wall / 100)} cm2 at the low end, where the chest wall "
+            "should be: z seems to run from nipple to chest wall. Reverse z in the axes of all "
+            "scans, together with x or y so that left stays left, such as x,y,z to -x,y,-z.",
+        )
 
 
 BODY_CHECKS = (check_volume_range, check_empty_slices, check_pieces)

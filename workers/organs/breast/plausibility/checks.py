@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 
-from palpate.workers.organs.breast.plausibility.body import BODY_CHECKS
+from palpate.workers.organs.breast.plausibility.body import BODY_CHECKS, check_chest_wall
 from palpate.workers.organs.breast.plausibility.loads import (
     check_distance,
     check_force,
@@ -35,7 +35,7 @@ def check_bodies(facts: BreastFacts) -> Iterator[Finding]:
 
 # A group is checked only if no earlier one rejects the input: its findings would be consequences.
 CHECKS: tuple[tuple[Check, ...], ...] = (
-    (check_bodies, check_outline, check_volumes),
+    (check_bodies, check_chest_wall, check_outline, check_volumes),
     (check_places, check_thickness),
     (
         check_force,

@@ -96,7 +96,7 @@ def errors_with_pairs(error: ValidationError, model: type[BaseModel]) -> list[Ma
     Pydantic checks these groups only if all fields of a record are present, but users want one
     complete list. A list that is too short only because its items are invalid is not an error.
     """
-    found: list[Mapping[str, Any]] = [dict(e) for e in error.errors(include_url=False)]
+    found = _with_short_lists([dict(e) for e in error.errors(include_url=False)])
     places = [e["loc"] for e in found]
     kept = [e for e in found if not (e["type"] == "too_short" and _has_more(e["loc"], places))]
     for e in [e for e in kept if e["type"] == MISSING and "ctx" not in e]:
@@ -105,6 +105,19 @@ def errors_with_pairs(error: ValidationError, model: type[BaseModel]) -> list[Ma
         new = [_missing_at(place, t) for t in missing_pairs(_record_at(model, place), data, empty)]
         kept += [line for line in new if line not in kept]
     return kept
+
+
+def _with_short_lists(errors: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Replace the missing items of a list by one error about its length."""
+    found: dict[Any, Mapping[str, Any]] = {}
+    for number, e in enumerate(errors):
+        if e["type"] != MISSING or not isinstance(e["input"], list | tuple):
+            found[number] = e
+            continue
+        *place, item = e["loc"]
+        text = f"expected {item + 1} values in brackets"
+        found[tuple(place)] = {**e, "type": "short_list", "loc": tuple(place), "msg": text}
+    return list(found.values())
 
 
 def _missing_at(place: tuple[Any, ...], text: str) -> Mapping[str, Any]:

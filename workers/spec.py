@@ -326,13 +326,25 @@ _SHORT.maxdict = _SHORT.maxlist = _SHORT.maxtuple = 10
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 60, 60
 
 
+# Pydantic's words for a list are those of Python, not of YAML.
+_EXPECTED = {
+    "tuple_type": "expected a list in brackets, such as [5, 20]",
+    "list_type": "expected a list in brackets, such as [1, 2]",
+}
+
+
 def _line(error: Mapping[str, Any], model: type[BaseModel]) -> str:
-    path = ".".join(str(part) for part in error["loc"]) or "the whole"
+    path = "".join(f"{part}." for part in error["loc"])[:-1]
+    start = f"  {path}: " if path else "  "
     if is_missing(error):
         text = missing_text(error, model)
-        return f"  {path}: {text}" if error["loc"] else f"  {text}"
+        return f"{start}{text}"
     if error["type"] == "value_error":
-        return f"  {path}: {error['ctx']['error']}"
+        return f"{start}{error['ctx']['error']}"
+    if error["type"] == "too_long" and "max_length" in error.get("ctx", {}):
+        expected = f"expected at most {error['ctx']['max_length']} values in brackets"
+    else:
+        expected = _EXPECTED.get(error["type"], error["msg"])
     found = _SHORT.repr(error["input"])
     found = found if len(found) <= 60 else f"{found[:57]}..."
-    return f"  {path}: {error['msg']}, found {found}"
+    return f"{start}{expected}, found {found}"

@@ -179,13 +179,13 @@ def _misfit(facts: EstimateFacts) -> list[str]:
 def _prior(facts: EstimateFacts, value: float) -> list[str]:
     if facts.prior is None:
         return []
-    (mean, sd), reasons = facts.prior, []
-    if facts.prior_share > MOST_OF_PRIOR:
-        reasons.append("the prior determines it more than the images do")
+    mean, sd = facts.prior
     if abs(value - mean) > MOST_DEVIATIONS * sd:
         far = number(abs(value - mean) / sd, 2)
-        reasons.append(f"{far} standard deviations from the mean of its prior")
-    return reasons
+        return [f"{far} standard deviations from the mean of its prior, against the images"]
+    if facts.prior_share > MOST_OF_PRIOR:
+        return ["the prior determines it more than the images do"]
+    return []
 
 
 def _between(ends: Bounds, unit: str) -> str:

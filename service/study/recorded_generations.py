@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from palpate.service.search.strategies import LEAST_SQUARES
 from palpate.service.study.log import StudyLog
 from palpate.service.study.spec import StudySpec
 from palpate.storage.records.best_candidate import score_of
@@ -106,7 +107,9 @@ def _from_endings(spec: StudySpec, log: StudyLog) -> Iterator[RecordedGeneration
 
 
 def _usual_size(spec: StudySpec, number: int) -> int:
-    """Return the usual number of evaluations in a generation of the genetic search."""
+    """Return the usual number of evaluations in a generation."""
+    if spec.search.strategy == LEAST_SQUARES.name:
+        return spec.search.starts
     if spec.search.steady:
         left = spec.most_evaluations - number * spec.search.population
         return max(0, min(spec.search.population, left))

@@ -8,6 +8,7 @@ import pytest
 
 import palpate
 from palpate.service.results.as_json import study_json
+from palpate.service.results.quotable import EstimateFacts, quotability
 from palpate.service.results.read import study_results
 from palpate.service.search.spec import SearchSpec
 from palpate.service.study.spec import parse_spec
@@ -105,3 +106,20 @@ def test_value_determined_by_its_prior_is_not_quotable(tmp_path: Path) -> None:
     assert record["identification"]["constants"]["E_fat"]["prior_share"] > 0.9
     sentence = "The estimate and the interval of E_fat_kpa include its prior, 11 ± 0.01 kPa."
     assert sentence in record["caveats"]
+
+
+@pytest.mark.parametrize(
+    ("value", "share", "reason"),
+    [
+        (8.0, 0.6, "the prior determines it more than the images do"),
+        (8.0, 0.4, ""),
+        (12.0, 0.6, "4 standard deviations from the mean of its prior, against the images"),
+    ],
+)
+def test_a_dominant_or_contradicted_prior_is_the_reason(
+    value: float, share: float, reason: str
+) -> None:
+    facts = EstimateFacts(
+        value=value, unit="kPa", interval=(7, 13), prior=(8.0, 1.0), prior_share=share
+    )
+    assert quotability(facts).reasons == ((reason,) if reason else ())

@@ -126,6 +126,23 @@ def test_template_values_match_the_stated_defaults() -> None:
     assert spec.case.model == parsed(SPEC).case.model
 
 
+@pytest.mark.parametrize(
+    ("found", "message"),
+    [
+        ([5], "expected 2 values in brackets, found [5]"),
+        ([], "expected 2 values in brackets, found []"),
+        ([5, 6, 7], "expected at most 2 values in brackets, found [5, 6, 7]"),
+        ("5-20", "expected a list in brackets, such as [5, 20], found '5-20'"),
+        (200, "expected a list in brackets, such as [5, 20], found 200"),
+    ],
+)
+def test_bounds_of_another_form_are_rejected(found: object, message: str) -> None:
+    data = parsed(SPEC).as_dict() | {"search": {"parameters": {"E_fat_kpa": found}}}
+    with pytest.raises(ValidationError) as error:
+        StudySpec.model_validate(data)
+    assert f"search.parameters.E_fat_kpa: {message}" in explain(error.value)
+
+
 def test_bounds_are_checked_on_input() -> None:
     data = parsed(SPEC).as_dict()
     good = StudySpec.model_validate(data | {"search": {"parameters": {"E_fat_kpa": [5, 20]}}})

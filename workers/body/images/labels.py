@@ -119,8 +119,14 @@ def _known_tissue(name: Tissue | str | int) -> Tissue | None:
     return Tissue(name) if name in set(Tissue) else None
 
 
-def default_map(volume: Volume) -> dict[int, Tissue]:
+def default_map(volume: Volume, where: str = "The volume") -> dict[int, Tissue]:
     """Return the map of a volume whose labels are already those of `Tissue`.
+
+    Parameters
+    ----------
+    volume : Volume
+    where : str
+        Its name in messages.
 
     Raises
     ------
@@ -131,7 +137,7 @@ def default_map(volume: Volume) -> dict[int, Tissue]:
     strange = {label: count for label, count in counts.items() if _known_tissue(label) is None}
     if strange:
         raise InputError(
-            f"The volume has labels that are not tissue numbers: {_listed(strange)}. "
+            f"{where} has labels that are not tissue numbers: {_listed(strange)}. "
             f"Name the tissue of each: labels: {_written(_suggestion(counts, {}))}"
         )
     return {label: Tissue(label) for label in counts}

@@ -127,7 +127,7 @@ def _named_by_file(image: LabelImage, path: Path) -> dict[int, str]:
 def _by_number(image: LabelImage, stated: LabelMap | None) -> dict[int, Tissue]:
     """Return the tissues of an image without label names."""
     if stated is None:
-        return default_map(image.volume)
+        return default_map(image.volume, image.where)
     words = [key for key in stated if isinstance(key, str)]
     if words:
         raise InputError(

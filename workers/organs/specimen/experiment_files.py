@@ -36,7 +36,7 @@ def read_experiment(path: Path) -> SpecimenSource:
     for file in files_of(spec, path):
         if not file.is_file():
             raise InputError(
-                f"{path} names {file.name}, which is not in {file.parent}. Give paths "
+                f"{path} names {file.name}, which is not in {file.parent.absolute()}. Give paths "
                 "relative to the file that names them."
             )
     mesh, found = spec.body.mesh, observed(spec, path.parent)

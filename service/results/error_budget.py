@@ -35,6 +35,7 @@ DECISIVE = 5.0
 # differ by scatter rather than by a trend; see tests/benchmarks/interval_coverage.py.
 MESH_FACTOR = 1.0
 IMAGE, MISFIT, MESH = "image", "misfit", "mesh"
+IMAGE_AND_PRIOR = "image and prior"
 
 
 @dataclass(frozen=True)

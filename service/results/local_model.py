@@ -11,6 +11,7 @@ import numpy as np
 from palpate.service.formatting import at_edge, share
 from palpate.service.results.error_budget import (
     IMAGE,
+    IMAGE_AND_PRIOR,
     MESH,
     MISFIT,
     ErrorSource,
@@ -129,7 +130,7 @@ class LocalModel:
     def __init__(
         self, fit: FitJson, searched: SearchedConstants, others: OtherProblems | None = None
     ) -> None:
-        self.names = tuple(fit["parameters"])
+        self.names, self.priors = tuple(fit["parameters"]), searched.priors
         self.values = np.asarray(fit["values"], np.float64)
         self.logarithmic = np.asarray(fit["logarithmic"], bool)
         bounds = np.array([searched.bounds[name] for name in self.names])
@@ -149,7 +150,6 @@ class LocalModel:
         self.sources = self._sources(others or OtherProblems())
         self.common = np.array([name in searched.common_scale for name in self.names])
         self.unseen_root = self._unseen_root(bounds)
-        self.priors = searched.priors
 
     @property
     def correlation(self) -> tuple[tuple[float, ...], ...]:
@@ -252,7 +252,7 @@ class LocalModel:
         root = self.eigenvectors[:, self.seen] / np.sqrt(self.eigenvalues[self.seen])
         here = LocalProblem(self.names, self.scale, root, self.gradient, factor)
         found = [
-            ErrorSource(IMAGE, root),
+            ErrorSource(IMAGE_AND_PRIOR if self.priors else IMAGE, root),
             ErrorSource(MISFIT, np.sqrt(factor**2 - 1) * root),
         ]
         if others.nuisances is not None:
@@ -274,7 +274,7 @@ class LocalModel:
         others = [k for k in range(len(self.names)) if k != j]
         part = self.information[np.ix_(others, others)]
         own = self.noise_factor**2 * np.linalg.pinv(part)[others.index(i), others.index(i)]
-        beside = (s for s in self.sources if s.name not in (IMAGE, MISFIT))
+        beside = (s for s in self.sources if s.name not in (IMAGE, IMAGE_AND_PRIOR, MISFIT))
         sd = np.sqrt(own + sum(s.sd[i] ** 2 + s.sd[j] ** 2 for s in beside))
         step = float(self.step[i] - self.step[j])
         reach = DEVIATIONS * float(sd)

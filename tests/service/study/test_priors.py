@@ -88,9 +88,9 @@ def test_estimate_is_weighed_between_image_and_prior(tmp_path: Path) -> None:
     fat, gland = found.constants["E_fat"], found.constants["E_glandular"]
     assert fat.prior_share == pytest.approx(0.5, abs=0.005)
     assert fat.estimate == pytest.approx(10 + sd / 2, abs=0.01 * sd)
-    assert fat.errors["image"] == pytest.approx(sd / np.sqrt(2), rel=0.005)
+    assert fat.errors["image and prior"] == pytest.approx(sd / np.sqrt(2), rel=0.005)
     assert gland.prior_share == 0.0
-    assert gland.errors["image"] == pytest.approx(4 * sd, rel=0.005)
+    assert gland.errors["image and prior"] == pytest.approx(4 * sd, rel=0.005)
 
 
 def test_value_determined_by_its_prior_is_not_quotable(tmp_path: Path) -> None:

@@ -326,23 +326,31 @@ _SHORT.maxdict = _SHORT.maxlist = _SHORT.maxtuple = 10
 _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 60, 60
 
 
-# Pydantic's words for a list are those of Python, not of YAML.
+# Pydantic's words for lists and mappings are those of Python, not of YAML.
 _EXPECTED = {
+    "model_type": "expected keys with values",
+    "dict_type": "expected keys with values",
     "tuple_type": "expected a list in brackets, such as [5, 20]",
     "list_type": "expected a list in brackets, such as [1, 2]",
 }
 
 
 def _line(error: Mapping[str, Any], model: type[BaseModel]) -> str:
-    path = "".join(f"{part}." for part in error["loc"])[:-1]
+    # A part such as "tuple[float, float]" is one of the forms that a value may have.
+    parts = [str(part) for part in error["loc"]]
+    path = ".".join(part for part in parts if not part.startswith(("constrained-", "tuple[")))
     start = f"  {path}: " if path else "  "
     if is_missing(error):
         text = missing_text(error, model)
         return f"{start}{text}"
     if error["type"] == "value_error":
         return f"{start}{error['ctx']['error']}"
-    if error["type"] == "too_long" and "max_length" in error.get("ctx", {}):
-        expected = f"expected at most {error['ctx']['max_length']} values in brackets"
+    limits = error.get("ctx") or {}
+    if error["type"] == "too_long" and "max_length" in limits:
+        expected = f"expected at most {limits['max_length']} values"
+    elif error["type"] == "too_short" and "min_length" in limits:
+        least = limits["min_length"]
+        expected = f"expected at least {least} value{'s' if least > 1 else ''}"
     else:
         expected = _EXPECTED.get(error["type"], error["msg"])
     found = _SHORT.repr(error["input"])

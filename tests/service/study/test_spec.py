@@ -131,7 +131,7 @@ def test_template_values_match_the_stated_defaults() -> None:
     [
         ([5], "expected 2 values in brackets, found [5]"),
         ([], "expected 2 values in brackets, found []"),
-        ([5, 6, 7], "expected at most 2 values in brackets, found [5, 6, 7]"),
+        ([5, 6, 7], "expected at most 2 values, found [5, 6, 7]"),
         ("5-20", "expected a list in brackets, such as [5, 20], found '5-20'"),
         (200, "expected a list in brackets, such as [5, 20], found 200"),
     ],

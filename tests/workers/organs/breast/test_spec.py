@@ -215,7 +215,7 @@ def test_a_score_names_tissues_once():
     assert score.tissues == (Tissue.FAT, Tissue.GLANDULAR)
     assert "air is not a tissue" in refusal(BreastScore, {"labels": ["air"]})
     assert "name each tissue once" in refusal(BreastScore, {"labels": ["fat", "Fat"]})
-    assert "at least 1 item" in refusal(BreastScore, {"labels": []})
+    assert "at least 1 value" in refusal(BreastScore, {"labels": []})
 
 
 def test_skin_that_is_not_modelled_cannot_be_searched():

@@ -120,7 +120,7 @@ def test_a_case_reads_files_of_its_own_upload_only(tmp_path: Path, name: str) ->
     path.write_text(path.read_text().replace("- b.csv", f"- {given}"))
     store = str(tmp_path / "store")
     open_store(store)
-    with pytest.raises(InputError, match=r"outside the|not valid YAML|is not at"):
+    with pytest.raises(InputError, match=r"outside the|not valid YAML|is not in"):
         bring_source(str(path), store, 500, None, "", False, str(uploads / "f"))
 
 

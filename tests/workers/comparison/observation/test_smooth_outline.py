@@ -89,5 +89,5 @@ def test_wave_is_damped_like_the_difference_of_gaussians(axis) -> None:
 
 
 def test_refuses_nonpositive_length() -> None:
-    with pytest.raises(InputError, match="length > 0"):
+    with pytest.raises(InputError, match="must be > 0 mm"):
         smooth_outline(half_ellipsoid(), 0.0)

@@ -27,6 +27,7 @@ from palpate.workers.body.images.labels import summarise
 from palpate.workers.body.images.named_labels import read_tissues
 from palpate.workers.body.images.orient import anatomical_directions
 from palpate.workers.body.images.tiff_stack import slices_read
+from palpate.workers.documents import parse_yaml
 from palpate.workers.organs.registry import organ_spec
 from palpate.workers.organs.study_checks import caveats_of
 from palpate.workers.spec import Door, Name, validated
@@ -183,15 +184,22 @@ def _keep(store: Store, name: str, volume: Volume, file: str, *, replace: bool) 
 
 
 def parse_labels(text: str | None) -> dict[int | str, str] | str | None:
-    """Parse ``0=air,1=fat`` or ``Adipose=fat`` as a mapping; return the path of a file as text.
+    """Parse ``0=air,1=fat``, ``Adipose=fat`` or a mapping in YAML; return a file's path as text.
 
     Raises
     ------
     InputError
         If it is malformed.
+
+    Examples
+    --------
+    >>> parse_labels("0=air,Adipose=fat"), parse_labels("{0: air, 1: fat}")
+    ({0: 'air', 'Adipose': 'fat'}, {0: 'air', 1: 'fat'})
     """
     if text is None or ("=" not in text and Path(text).is_file()):
         return text
+    if text.lstrip().startswith("{"):
+        return {key: str(name) for key, name in parse_yaml(text, "--labels").items()}
     tissues: dict[int | str, str] = {}
     for part in text.split(","):
         label, equals, tissue = (piece.strip() for piece in part.rpartition("="))

@@ -73,7 +73,7 @@ def test_import_prints_and_draws_preview(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     np.save("cone.npy", CONE)
-    options = ["--labels", "0=air,1=fat,2=glandular", "--spacing-mm", "1", "2", "4"]
+    options = ["--labels", "{0: air, 1: fat, 2: glandular}", "--spacing-mm", "1", "2", "4"]
     assert main(["import", "cone.npy", "--name", "cone", *options]) == 0
     out = capsys.readouterr().out
     assert "coronal" in out

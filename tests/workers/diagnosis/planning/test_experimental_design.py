@@ -298,5 +298,5 @@ def test_candidates_do_not_include_a_planned_view(tmp_path: Path) -> None:
 def test_the_reference_scan_is_needed(tmp_path: Path) -> None:
     folder = write_meant(tmp_path / "case", [at_force(8)])
     (folder / "rest.nrrd").unlink()
-    with pytest.raises(InputError, match=r"names rest\.nrrd, which is not in the folder"):
+    with pytest.raises(InputError, match=r"names rest\.nrrd, which is neither in the folder"):
         read_case(folder, loaded=False)

@@ -108,7 +108,7 @@ def test_plan_needs_only_the_unloaded_scan(tmp_path: Path) -> None:
 
 def test_error_names_the_unknown_kind(tmp_path: Path) -> None:
     with pytest.raises(
-        StoreError, match=r"the kind 'ultrasound', this version knows .*scanned case"
+        StoreError, match=r"the kind 'ultrasound', but this version knows .*scanned case"
     ):
         source_of(SourceContent("ultrasound", {}, {}, {}))
 

@@ -264,8 +264,10 @@ def _local(workers: Workers | None, allowed_failures: int) -> Iterator[Cluster]:
         )
         stack.enter_context(dask.config.set(config))
         with unheard_interrupts(), warnings.catch_warnings():
-            # Another process may take the port before Dask does; Dask then takes another.
+            # Another process may take the port before Dask does; Dask then takes another, and
+            # forgets to close the first socket.
             warnings.filterwarnings("ignore", message="\\s*Port .* is already in use")
+            warnings.filterwarnings("ignore", message="unclosed <socket", category=ResourceWarning)
             cluster = stack.enter_context(
                 _SteadyCluster(
                     n_workers=count,

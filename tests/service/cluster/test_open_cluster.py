@@ -91,6 +91,18 @@ def test_free_port_avoids_a_taken_port() -> None:
         assert free_port(other.getsockname()[1]) == 0
 
 
+def test_starts_if_another_process_takes_the_port_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Warnings are errors here, so one that Dask leaves on the way would end the start."""
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        taken = other.getsockname()[1]
+        monkeypatch.setattr("palpate.service.cluster.open.free_port", lambda preferred: taken)
+        with open_cluster(workers=1) as cluster:
+            assert cluster.client.run(int)
+            assert f":{taken}/" not in str(cluster.client.dashboard_link)
+
+
 def worker_environment() -> dict[str, Any]:
     return {name: os.environ.get(name) for name in ("PALPATE_TOKEN", "PYTHONSAFEPATH")}
 

@@ -17,9 +17,9 @@ def check_law(law: Isochoric) -> None:
 
     It can be pickled; its energy and stress vanish at rest, and it is linear elastic for small
     strains; rotating the body before or after the deformation leaves the energy unchanged, and the
-    stress rotates with the body; a change of volume stores no energy; fourth-order differences of
-    the energy give the stress, and those of the stress give the tangent; and the energy of an
-    inverted body is nan.
+    stress rotates with the body; a change of volume stores no energy; stress and tangent
+    agree with fourth-order differences of energy and stress; and the energy of an inverted body is
+    nan.
 
     Parameters
     ----------

@@ -161,8 +161,8 @@ def open_cluster(
         )
     if scheduler is not None and workers is not None:
         raise InputError(
-            "--workers starts processes on this machine; --scheduler uses those of a running "
-            "cluster: give one of them."
+            "--workers starts processes on this machine; --scheduler uses a running cluster: give "
+            "one of them."
         )
     opened = (
         _existing(scheduler, connect_s)

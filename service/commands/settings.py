@@ -77,8 +77,8 @@ def cluster_options(
         workers, option = None if scheduler else os.environ.get(WORKERS) or None, f"{WORKERS}="
     elif scheduler is not None and workers is not None:
         raise InputError(
-            "--workers starts processes on this machine; --scheduler uses those of a running "
-            "cluster, whose number cannot be changed here: give one of them."
+            "--workers starts processes on this machine; --scheduler uses a running cluster with "
+            "its own workers: give one of them."
         )
     if scheduler is not None:
         host_and_port(scheduler)

@@ -194,13 +194,12 @@ class StudySpec(Door):
     @property
     def priors(self) -> dict[str, Prior]:
         """Return mean and standard deviation of parameters with a prior, in internal units."""
-        known = self.search.priors
-        parameters = {name: self.case.parameters.at_door(name) for name in known}
-        return {
-            parameters[name].name: (mean / one, sd / one)
-            for name, (mean, sd) in known.items()
-            if (one := float(parameters[name].unit.to_door(1.0)))
-        }
+        priors: dict[str, Prior] = {}
+        for name, (mean, sd) in self.search.priors.items():
+            parameter = self.case.parameters.at_door(name)
+            per_inside = float(parameter.unit.to_door(1.0))
+            priors[parameter.name] = mean / per_inside, sd / per_inside
+        return priors
 
     @property
     def fitted_names(self) -> FittedNames:

@@ -9,7 +9,7 @@ DIAGNOSED = ("diagnosis", "experiment")
 
 
 def template_names() -> tuple[str, ...]:
-    """Return the names of all templates: those of the organs, then diagnoses and experiments."""
+    """Return the names of all templates: organs first, then diagnoses and experiments."""
     return (*_of_organs(), *DIAGNOSED)
 
 

@@ -220,9 +220,9 @@ def test_lists_causes_outside_catalogue(page: Page) -> None:
 
 def test_counts_points_left_out(page: Page) -> None:
     assert "left out" not in page.text
-    told = summary() | {"left_out": 9}
-    said = f"Of {told['points'] + 9} points, 9 were left out, because at least one scan does not"
-    assert said in Page(render(found(told))).text
+    record = summary() | {"left_out": 9}
+    note = f"Of {record['points'] + 9} points, 9 were left out, because at least one scan does not"
+    assert note in Page(render(found(record))).text
 
 
 def test_the_set_of_several_causes_names_their_family() -> None:

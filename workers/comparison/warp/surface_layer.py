@@ -8,21 +8,26 @@ where it is thinner, which closes it; nothing else moves, and the outline stays.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
-from palpate.workers.comparison.warp.deformed_mesh import index_coordinates, place_on_lattice
-from palpate.workers.comparison.warp.warp_volume import HALF, runs_and_map, warp_labels
+from palpate.workers.comparison.warp.deformed_mesh import (
+    DeformedMesh,
+    index_coordinates,
+    place_on_lattice,
+)
+from palpate.workers.comparison.warp.warp_volume import HALF, placed_labels, runs_and_map
 from palpate.workers.compile_flags import EXACT
 
 # (x, y, z) of the six neighbours of a voxel.
 NEIGHBOURS = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
 # Detects a layer of an eighth of a voxel: 0.2 mm skin in voxels of 1.5 mm.
 STEPS = 8
+# Edge in voxels of the blocks by which elements away from the surface are skipped.
+BLOCK = 8
 
 
 def warp_with_skin(
@@ -33,44 +38,39 @@ def warp_with_skin(
     Glandular tissue and muscle that reach the surface keep their voxels, because these are the
     tissues that scores and interfaces compare.
     """
-    deformed = warp_labels(reference, mesh, displacement_mm, lattice)
-    under = (Tissue.FAT, Tissue.LIGAMENT)
-    return closed_layer(deformed, reference, mesh, displacement_mm, Tissue.SKIN, under)
+    placed = place_on_lattice(mesh, displacement_mm, reference if lattice is None else lattice)
+    labels = placed_labels(placed, reference, mesh)
+    close_layer(labels, placed, reference, mesh, Tissue.SKIN, (Tissue.FAT, Tissue.LIGAMENT))
+    return placed.volume(labels, reference)
 
 
-def closed_layer(
-    deformed: Volume,
+def close_layer(
+    labels: NDArray[np.generic],
+    placed: DeformedMesh,
     reference: Volume,
     mesh: TetMesh,
-    displacement_mm: FloatArray,
     layer: int,
     under: Sequence[int],
-) -> Volume:
-    """Close a layer on the surface of a deformed label volume.
+) -> None:
+    """Close a layer on the surface of deformed labels, in place.
 
     Parameters
     ----------
-    deformed : Volume of uint8
-        From `warp_labels`.
-    reference, mesh, displacement_mm
-        The arguments of `warp_labels`.
+    labels : ndarray of uint8
+        From `placed_labels`, with the next three arguments.
+    placed, reference, mesh
+        The deformed mesh, the labels and the mesh of the undeformed body.
     layer : int
         Label of the layer.
     under : sequence of int
         Labels that it may replace.
-
-    Returns
-    -------
-    Volume
-        `deformed` itself if the reference has no such layer.
     """
-    values = np.ascontiguousarray(reference.values)
-    if not (values == layer).any():
-        return deformed
-    placed = place_on_lattice(mesh, displacement_mm, deformed)
     gives_way = np.zeros(256, np.bool_)
     gives_way[list(under)] = True
-    closed = np.array(deformed.values)
+    # Marked before any is replaced, so that the order of the elements does not matter.
+    at_surface = np.zeros(labels.shape, np.bool_)
+    blocks = np.zeros([-(-size // BLOCK) for size in labels.shape], np.bool_)
+    _mark_surface(labels, gives_way, at_surface, blocks)
     _close(
         placed.fixed,
         placed.bits,
@@ -78,13 +78,12 @@ def closed_layer(
         index_coordinates(mesh.nodes, reference),
         placed.tets,
         placed.runs,
-        values,
-        np.ascontiguousarray(deformed.values),
+        np.ascontiguousarray(reference.values),
+        at_surface,
+        blocks,
         layer,
-        gives_way,
-        closed,
+        labels,
     )
-    return replace(deformed, values=closed)
 
 
 @njit(**EXACT)
@@ -115,6 +114,60 @@ def _crosses(
 
 
 @njit(**EXACT)
+def _mark_surface(
+    labels: NDArray[np.uint8],
+    gives_way: NDArray[np.bool_],
+    marked: NDArray[np.bool_],
+    blocks: NDArray[np.bool_],
+) -> None:
+    """Mark voxels next to air whose labels may be replaced, and their blocks.
+
+    Air is around the volume.
+    """
+    nz, ny, nx = labels.shape
+    for z in range(nz):
+        for y in range(ny):
+            for x in range(nx):
+                if gives_way[labels[z, y, x]] and (
+                    x == 0
+                    or x == nx - 1
+                    or y == 0
+                    or y == ny - 1
+                    or z == 0
+                    or z == nz - 1
+                    or labels[z, y, x - 1] == 0
+                    or labels[z, y, x + 1] == 0
+                    or labels[z, y - 1, x] == 0
+                    or labels[z, y + 1, x] == 0
+                    or labels[z - 1, y, x] == 0
+                    or labels[z + 1, y, x] == 0
+                ):
+                    marked[z, y, x] = True
+                    blocks[z // BLOCK, y // BLOCK, x // BLOCK] = True
+
+
+@njit(**EXACT)
+def _reaches(
+    fixed: NDArray[np.int64], bits: int, tets: IntArray, t: int, blocks: NDArray[np.bool_]
+) -> bool:
+    """Return True if the box of an element touches a marked block."""
+    ends = np.empty((3, 2), np.int64)
+    for axis in range(3):
+        low = high = fixed[tets[t, 0], axis]
+        for corner in range(1, 4):
+            low = min(low, fixed[tets[t, corner], axis])
+            high = max(high, fixed[tets[t, corner], axis])
+        ends[axis, 0] = (low >> bits) // BLOCK
+        ends[axis, 1] = min((high >> bits) // BLOCK, blocks.shape[2 - axis] - 1)
+    for k in range(ends[2, 0], ends[2, 1] + 1):
+        for j in range(ends[1, 0], ends[1, 1] + 1):
+            for i in range(ends[0, 0], ends[0, 1] + 1):
+                if blocks[k, j, i]:
+                    return True
+    return False
+
+
+@njit(**EXACT)
 def _close(
     fixed: NDArray[np.int64],
     bits: int,
@@ -123,25 +176,28 @@ def _close(
     tets: IntArray,
     runs: IntArray,
     values: NDArray[np.uint8],
-    deformed: NDArray[np.uint8],
+    at_surface: NDArray[np.bool_],
+    blocks: NDArray[np.bool_],
     layer: int,
-    gives_way: NDArray[np.bool_],
-    closed: NDArray[np.uint8],
+    labels: NDArray[np.uint8],
 ) -> None:
-    nz, ny, nx = deformed.shape
+    nz, ny, nx = labels.shape
     m = np.empty((3, 4))
     for t in range(tets.shape[0]):
+        if not _reaches(fixed, bits, tets, t, blocks):
+            continue
         count = runs_and_map(fixed, bits, nodes, sources, tets, t, runs, m)
         for r in range(count):
             z, y = runs[r, 0], runs[r, 1]
             for x in range(runs[r, 2], runs[r, 3]):
-                if not gives_way[deformed[z, y, x]]:
+                if not at_surface[z, y, x]:
                     continue
                 for dx, dy, dz in NEIGHBOURS:
                     i, j, k = x + dx, y + dy, z + dz
                     inside = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
-                    if inside and deformed[k, j, i] != 0:
+                    # Only air is 0, and nothing becomes or ceases to be air here.
+                    if inside and labels[k, j, i] != 0:
                         continue
                     if _crosses(m, (x, y, z), (dx, dy, dz), values, layer):
-                        closed[z, y, x] = layer
+                        labels[z, y, x] = layer
                         break

@@ -22,7 +22,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
-from palpate.workers.comparison.warp.deformed_mesh import index_coordinates, place_on_lattice
+from palpate.workers.comparison.warp.deformed_mesh import (
+    DeformedMesh,
+    index_coordinates,
+    place_on_lattice,
+)
 from palpate.workers.comparison.warp.rasterisation import signed_volume, tet_runs
 from palpate.workers.compile_flags import EXACT
 
@@ -59,21 +63,25 @@ def warp_labels(
         If the displacement does not fit the mesh, is not finite, or spreads the
         body over an absurd number of voxels.
     """
-    deformed = place_on_lattice(mesh, displacement_mm, reference if lattice is None else lattice)
+    placed = place_on_lattice(mesh, displacement_mm, reference if lattice is None else lattice)
+    return placed.volume(placed_labels(placed, reference, mesh), reference)
+
+
+def placed_labels(placed: DeformedMesh, reference: Volume, mesh: TetMesh) -> NDArray[np.generic]:
+    """Return the labels of the voxels around a deformed mesh; see `warp_labels`."""
     values = np.ascontiguousarray(reference.values)
-    out = np.full(deformed.shape, Tissue.AIR, dtype=values.dtype)
-    sources = index_coordinates(mesh.nodes, reference)
+    out = np.full(placed.shape, Tissue.AIR, dtype=values.dtype)
     _write_nearest(
-        deformed.fixed,
-        deformed.bits,
-        deformed.nodes,
-        sources,
-        deformed.tets,
-        deformed.runs,
+        placed.fixed,
+        placed.bits,
+        placed.nodes,
+        index_coordinates(mesh.nodes, reference),
+        placed.tets,
+        placed.runs,
         values,
         out,
     )
-    return deformed.volume(out, reference)
+    return out
 
 
 def warp_grey(

@@ -19,9 +19,10 @@ from palpate.storage.records.tasks import EvaluationResult
 from palpate.storage.stores.fields import load_field, save_field
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.parameters import Parameter, Vocabulary, unknown_name
+from palpate.workers.organs.specimen.keys.loads import LoadsSpec
 from palpate.workers.organs.specimen.problem import free_constants, problem_of
 from palpate.workers.organs.specimen.sheet.body import body_of
-from palpate.workers.organs.specimen.spec import LoadsSpec, SpecimenSpec, read_spec
+from palpate.workers.organs.specimen.spec import SpecimenSpec, read_spec
 from palpate.workers.organs.specimen.voxelised_mesh import body_of_file
 from palpate.workers.resources import worker_name
 from palpate.workers.spec import validated

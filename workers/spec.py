@@ -72,11 +72,22 @@ LawName = Annotated[str, AfterValidator(lambda name: checked_name("laws", name))
 class Door(BaseModel):
     """Frozen record that refuses unknown keys; an empty key counts as missing.
 
-    Exactly one key of each group in `exactly_one` must be given.
+    Exactly one key of each group in `exactly_one` must be given. Older files lack the
+    `later_keys`: they are not written at their defaults, so that digests stay the same.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     exactly_one: ClassVar[Pairs] = ()
+    later_keys: ClassVar[tuple[str, ...]] = ()
+
+    @model_serializer(mode="wrap")
+    def _without_later_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = handler(self)
+        fields = type(self).model_fields
+        for key in self.later_keys:
+            if getattr(self, key) == fields[key].get_default(call_default_factory=True):
+                values.pop(key, None)
+        return values
 
     @model_validator(mode="before")
     @classmethod
@@ -238,6 +249,8 @@ class ScoreSpec(Door):
     ``objective`` names a score of `workers.comparison.similarity.objective`.
     """
 
+    later_keys: ClassVar[tuple[str, ...]] = ("objective",)
+
     objective: Annotated[str, Field(description="the score that the search optimises")] = (
         DEFAULT_OBJECTIVE
     )
@@ -246,12 +259,6 @@ class ScoreSpec(Door):
     @classmethod
     def _is_a_score(cls, name: str) -> str:
         return checked_name("scores", name)
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit keys that older studies do not have, to keep their digests."""
-        values: dict[str, Any] = handler(self)
-        return {k: v for k, v in values.items() if (k, v) != ("objective", DEFAULT_OBJECTIVE)}
 
     @property
     def parts(self) -> tuple[str, ...]:

@@ -8,8 +8,6 @@ import numpy as np
 from pydantic import (
     AfterValidator,
     Field,
-    SerializerFunctionWrapHandler,
-    model_serializer,
     model_validator,
 )
 
@@ -96,10 +94,6 @@ class PriorSpec(Door):
     sd: Positive
 
 
-# Keys that older studies lack: left out at their defaults, or digests would change.
-LATER = ("mode", "in_flight", "start", "stop", "scale", "constraints", "prior")
-
-
 class SearchSpec(Door):
     """Settings of the search; the defaults are the thesis'.
 
@@ -181,13 +175,6 @@ class SearchSpec(Door):
     scale: dict[str, Literal["linear", "log"]] = Field(default_factory=dict)
     constraints: tuple[str, ...] = ()
     prior: dict[str, PriorSpec] = Field(default_factory=dict)
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out keys that older studies lack, or their digests would change."""
-        values: dict[str, Any] = handler(self)
-        later = [name for name in LATER if getattr(self, name) == _default(type(self), name)]
-        return {k: v for k, v in values.items() if k not in later}
 
     @model_validator(mode="after")
     def _steady_is_genetic(self) -> Self:
@@ -332,10 +319,6 @@ class SearchSpec(Door):
     def space(self) -> Space:
         """Return the searched box, in external units."""
         return Space.from_bounds(self.parameters)
-
-
-def _default(model: type[Door], name: str) -> Any:
-    return model.model_fields[name].get_default(call_default_factory=True)
 
 
 # Elements of about 5 and 3 mm in a breast of 445 ml; voxels a fifth of that.

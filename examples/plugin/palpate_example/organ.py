@@ -3,9 +3,10 @@
 from dataclasses import replace
 from typing import Literal
 
+from palpate.workers.organs.breast.keys.model import MeshSpec
 from palpate.workers.organs.breast.organ import Breast
 from palpate.workers.organs.breast.organ_spec import SPEC as BREAST_SPEC
-from palpate.workers.organs.breast.spec import BreastCase, MeshSpec
+from palpate.workers.organs.breast.spec import BreastCase
 from palpate.workers.organs.plugin import Fact, OrganPlugin
 
 

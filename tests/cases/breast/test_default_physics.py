@@ -25,7 +25,8 @@ from palpate.workers.organs.breast.case.scanned_case import ScannedCase
 from palpate.workers.organs.breast.case.source import PlannedCaseSource, ScannedCaseSource
 from palpate.workers.organs.breast.case.spec import CaseFile, CaseModel
 from palpate.workers.organs.breast.case.table import understood
-from palpate.workers.organs.breast.spec import BreastCase, ModelSpec
+from palpate.workers.organs.breast.keys.model import ModelSpec
+from palpate.workers.organs.breast.spec import BreastCase
 from palpate.workers.organs.breast.study_source import StudyPieces, StudySource
 from tests.cases.filled_templates import filled, required, small_breast
 from tests.workers.tasks.one_process import diagnosed_store, diagnosis_in

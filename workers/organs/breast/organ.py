@@ -37,6 +37,8 @@ from palpate.workers.organs.breast.interface_fit import (
     fit_interfaces,
     observe_target,
 )
+from palpate.workers.organs.breast.keys.images import ImageSpec, PhantomSpec, ReferenceSpec
+from palpate.workers.organs.breast.keys.model import MeshSpec
 from palpate.workers.organs.breast.plausibility.alignment import aligned, study_load
 from palpate.workers.organs.breast.problem import (
     Extent,
@@ -46,15 +48,7 @@ from palpate.workers.organs.breast.problem import (
     pressed_by,
     problem_of,
 )
-from palpate.workers.organs.breast.spec import (
-    BreastCase,
-    BreastScore,
-    BreastTarget,
-    ImageSpec,
-    MeshSpec,
-    PhantomSpec,
-    ReferenceSpec,
-)
+from palpate.workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget
 from palpate.workers.organs.organ import Arrays, Facts, Scores
 from palpate.workers.spec import Door
 

@@ -23,7 +23,8 @@ from palpate.workers.mechanics.fem.problem.loads import Device, DistanceControl,
 from palpate.workers.mechanics.parameters import BREAST
 from palpate.workers.mechanics.pressed import Pressed
 from palpate.workers.organs.breast.effects import BREAST_MODEL, CATALOGUE
-from palpate.workers.organs.breast.spec import LoadSpec, ModelSpec
+from palpate.workers.organs.breast.keys.load import LoadSpec
+from palpate.workers.organs.breast.keys.model import ModelSpec
 
 Extent = tuple[float, float]
 """Start and end along the axis of compression, in mm."""

@@ -1,59 +1,34 @@
 """Keys of a study of a breast: its case, target and score."""
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import (
-    BaseModel,
-    BeforeValidator,
     Field,
-    SerializerFunctionWrapHandler,
     StringConstraints,
-    model_serializer,
     model_validator,
 )
 
-from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.body.images.label_map import label_map
 from palpate.workers.body.images.labels import tissue_named
-from palpate.workers.body.images.orient import parse_axes
-from palpate.workers.body.phantom.settings import BreastPhantom
 from palpate.workers.mechanics.parameters import BREAST, Vocabulary
 from palpate.workers.missing_keys import Pairs
 from palpate.workers.organs.breast import default_physics as physics
 from palpate.workers.organs.breast.effects import BREAST_MODEL
-from palpate.workers.organs.breast.laws import LAW_TISSUES, Laws, TissueLaws, shape_constants
+from palpate.workers.organs.breast.keys.images import ImageSpec, ReferenceSpec
+from palpate.workers.organs.breast.keys.load import LoadSpec
+from palpate.workers.organs.breast.keys.model import MeshSpec, ModelSpec
+from palpate.workers.organs.breast.laws import LAW_TISSUES, shape_constants
 from palpate.workers.organs.breast.physics_words import law_text, wall_text
 from palpate.workers.spec import (
     CaseSpec,
-    Door,
-    Finite,
     Identifiable,
-    Positive,
     ScoreSpec,
     TargetSpec,
     checked,
 )
 from palpate.workers.units import FORCE_UNITS, KPA
 
-
-def _three(given: Any) -> Any:
-    """Repeat a single number along all three axes."""
-    return (given, given, given) if isinstance(given, int | float) else given
-
-
-def _ascending(record: BaseModel, low: str, high: str, why: str) -> None:
-    below, above = getattr(record, low), getattr(record, high)
-    if below is not None and above is not None and not below < above:
-        raise ValueError(f"{low} ({below:g}) must be less than {high} ({above:g}): {why}")
-
-
-SpacingMm = Annotated[
-    tuple[Positive, Positive, Positive],
-    BeforeValidator(_three, json_schema_input_type=Positive | tuple[Positive, Positive, Positive]),
-]
-Axes = Annotated[str, checked(parse_axes)]
 TissueName = Annotated[
     str, StringConstraints(to_lower=True, strip_whitespace=True), checked(tissue_named)
 ]
@@ -65,245 +40,6 @@ def _known_constants(given: Mapping[str, float]) -> None:
 
 
 DoorConstants = Annotated[dict[str, float], checked(_known_constants)]
-
-
-Labels = Annotated[dict[int | str, str] | str | None, BeforeValidator(label_map)]
-"""Tissues by label number or name, or a file that names the labels."""
-
-
-class PhantomSpec(Door):
-    """A generated breast: a preset with changed settings, and a seed.
-
-    The settings are those of `workers.body.phantom.settings.BreastPhantom`.
-
-    Parameters
-    ----------
-    preset
-        ``445ml`` or ``250ml``, as in the thesis.
-    seed
-        Each seed gives a different breast.
-    spacing_mm
-        Size of a voxel, in mm.
-    glandular_fraction
-        Glandular share of the volume inside the skin, 0.07 to 0.35.
-    lower_mm
-        Extent below the nipple, along x, in mm.
-    upper_mm
-        Extent above the nipple, along x, in mm.
-    half_width_mm
-        Half the width along y, the direction of compression, in mm.
-    depth_mm
-        Depth from the chest wall to the nipple, along z, in mm.
-    skin_mm
-        Thickness of the skin, in mm.
-    ligament_mm
-        Thickness of the ligaments between compartments, in mm.
-    compartments
-        Number of compartments of glandular tissue.
-    """
-
-    preset: str = "445ml"
-    seed: Annotated[int, Field(ge=0)] = 1
-    spacing_mm: float | None = None
-    glandular_fraction: float | None = None
-    lower_mm: float | None = None
-    upper_mm: float | None = None
-    half_width_mm: float | None = None
-    depth_mm: float | None = None
-    skin_mm: float | None = None
-    ligament_mm: float | None = None
-    compartments: int | None = None
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        try:
-            _ = self.settings
-        except InputError as error:
-            raise ValueError(str(error)) from None
-        return self
-
-    @property
-    def settings(self) -> BreastPhantom:
-        """Settings of the generator."""
-        changes = self.model_dump(exclude={"preset", "seed"}, exclude_none=True)
-        return BreastPhantom.preset(self.preset, **changes)
-
-
-class ImageSpec(Door):
-    """Keys for reading an image; see `workers.body.images.read.read_volume`.
-
-    Parameters
-    ----------
-    labels
-        Tissue of each label: ``{1: fat, 2: glandular}``, by number or by segment name; or a file
-        of label names. Default: the names in the image.
-    spacing_mm
-        Size of a voxel along x, y and z, in mm, for formats that do not state it.
-    axes
-        Axes of the image in the frame of the body: ``-x,y,-z``, or anatomical directions such as
-        ``L S A``. Default: the same axes.
-    """
-
-    volume: str | None = Field(
-        default=None, description="the segmented image: a file, a folder or a name in the store"
-    )
-    labels: Labels = None
-    spacing_mm: SpacingMm | None = None
-    axes: Axes | None = None
-
-    def _refuse_image_keys(self, instead: str) -> None:
-        given = [k for k in ("labels", "spacing_mm", "axes") if getattr(self, k) is not None]
-        if given:
-            raise ValueError(
-                f"{', '.join(given)} can only be used with an image, but {instead} is given: "
-                "remove them, or give a volume"
-            )
-
-
-class ReferenceSpec(ImageSpec):
-    """The undeformed body: a phantom, an image file or folder, or a stored volume."""
-
-    exactly_one: ClassVar[Pairs] = (("phantom", "volume"),)
-
-    phantom: PhantomSpec | None = Field(default=None, description="a generated breast")
-
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
-        if self.phantom is not None:
-            self._refuse_image_keys("a phantom")
-        return self
-
-
-class MeshSpec(Door):
-    """Resolution of the mesh: the number of nodes, or the size of the elements.
-
-    Parameters
-    ----------
-    nodes
-        Approximate number of nodes.
-    element_size_mm
-        Edge length of the elements, in mm.
-    """
-
-    exactly_one: ClassVar[Pairs] = (("nodes", "element_size_mm"),)
-
-    nodes: Annotated[int, Field(ge=100, le=5_000_000)] | None = None
-    element_size_mm: Positive | None = None
-
-
-class ModelSpec(Door):
-    """Model of the tissue.
-
-    Parameters
-    ----------
-    skin
-        ``none`` (skin counts as fat), ``membrane`` (without bending stiffness) or ``layer`` (solid
-        elements; needs a fine mesh).
-    skin_thickness_mm
-        Thickness of the skin, in mm.
-    fibres
-        ``tension-only``, or ``literal``: the published formula, also in compression.
-    fibre_invariant
-        ``I4``, or ``isochoric``: the stretch without the volume change.
-    law : str or mapping
-        Law of the tissue without its fibres, such as yeoh: one for all tissues, or
-        {fat: yeoh, glandular: neo-hookean}. Its shape constants, such as yeoh_c2_fat, can be held
-        or searched; `palpate parameters --law yeoh` lists them.
-    """
-
-    skin: physics.Skin = physics.SKIN
-    skin_thickness_mm: Positive = physics.SKIN_THICKNESS_MM
-    fibres: physics.Fibres = physics.FIBRES
-    fibre_invariant: physics.FibreInvariant = physics.FIBRE_INVARIANT
-    law: Laws = TissueLaws()
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit keys that older studies do not have, to keep their digests."""
-        values: dict[str, Any] = handler(self)
-        return {k: v for k, v in values.items() if k != "law" or not self.law.is_default}
-
-
-class PlateDistanceSpec(Door):
-    """Final distance of the plates, or their final positions along y.
-
-    Parameters
-    ----------
-    initial
-        Distance between the plates before compression, in mm, if known.
-    final
-        Distance between the plates under compression, in mm.
-    lower
-        Final position of the lower plate along y, in mm.
-    upper
-        Final position of the upper plate along y, in mm.
-    """
-
-    initial: Positive | None = None
-    final: Positive | None = None
-    lower: Finite | None = None
-    upper: Finite | None = None
-
-    @model_validator(mode="after")
-    def _distance_or_positions(self) -> Self:
-        distance = self.final is not None
-        positions = self.lower is not None and self.upper is not None
-        mixed = distance and (self.lower is not None or self.upper is not None)
-        if mixed or not (distance or positions) or (positions and self.initial is not None):
-            raise ValueError(
-                "give {final: 65} (and initial, if known), or the positions along y "
-                "{lower: 10, upper: 75}"
-            )
-        _ascending(self, "final", "initial", "the plates must come closer")
-        _ascending(self, "lower", "upper", "the upper plate is at the higher y")
-        return self
-
-
-def _final(given: Any) -> Any:
-    """Convert a single number to the final distance."""
-    number = isinstance(given, int | float) and not isinstance(given, bool)
-    return {"final": given} if number else given
-
-
-PlateDistance = Annotated[
-    PlateDistanceSpec,
-    BeforeValidator(_final, json_schema_input_type=Positive | PlateDistanceSpec),
-]
-
-
-class LoadSpec(Door):
-    """Compression: a force on the plates, or their final distance.
-
-    Parameters
-    ----------
-    oblique_deg
-        Angle of the compression about z, from y towards -x, in degrees: 0 is cranio-caudal,
-        45 mediolateral oblique.
-    moving
-        The plates that move: the upper one, or both.
-    """
-
-    exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
-
-    force_n: Positive | None = Field(default=None, description="the force on the plates, in N")
-    plate_distance_mm: PlateDistance | None = Field(
-        default=None,
-        description="the distance between the plates, in mm; or {initial: 120, final: 65}, or "
-        "their final positions {lower: 10, upper: 75}",
-    )
-    oblique_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
-    moving: Literal["upper", "both"] = "upper"
-
-    @property
-    def text(self) -> str:
-        """Return a description of the compression."""
-        turned = f", turned by {self.oblique_deg:g} degrees" if self.oblique_deg else ""
-        if self.force_n is not None:
-            return f"{self.force_n:g} N, from where the body at rest ends{turned}"
-        distance = self.plate_distance_mm or PlateDistanceSpec(final=1.0)
-        if distance.final is not None:
-            return f"{distance.final:g} mm apart{turned}"
-        return f"at {distance.lower:g} and {distance.upper:g} mm{turned}"
 
 
 _WALL = wall_text(physics.WALL_HELD, physics.WALL_SPRING_KPA_PER_MM, physics.WALL_SPRING_KPA_PER_MM)

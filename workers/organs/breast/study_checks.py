@@ -12,6 +12,7 @@ from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.mesh.node_count import check_node_count, check_node_count_of
 from palpate.workers.mechanics.parameters import BREAST, Bounds
 from palpate.workers.organs.breast.effects import BREAST_MODEL
+from palpate.workers.organs.breast.keys.images import PhantomSpec
 from palpate.workers.organs.breast.plausibility.alignment import study_load
 from palpate.workers.organs.breast.plausibility.body import (
     check_empty_slices,
@@ -21,7 +22,7 @@ from palpate.workers.organs.breast.plausibility.body import (
 from palpate.workers.organs.breast.plausibility.checks import findings_of
 from palpate.workers.organs.breast.plausibility.scan_facts import BreastFacts, Scan
 from palpate.workers.organs.breast.problem import compression_axis
-from palpate.workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget, PhantomSpec
+from palpate.workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget
 from palpate.workers.organs.study_checks import Finding
 
 

@@ -41,8 +41,9 @@ from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
 from palpate.workers.mechanics.fem.problem.fields import Frame
 from palpate.workers.mechanics.parameters import Bounds, Parameter
 from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.organs.breast.keys.model import MeshSpec
 from palpate.workers.organs.breast.problem import extent_of, materials_of, pressed_by, problem_of
-from palpate.workers.organs.breast.spec import BreastCase, BreastTarget, MeshSpec
+from palpate.workers.organs.breast.spec import BreastCase, BreastTarget
 from palpate.workers.organs.breast.study_checks import BreastChecks
 from palpate.workers.organs.breast.study_noise import study_noise
 from palpate.workers.organs.study_checks import Finding

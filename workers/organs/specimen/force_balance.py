@@ -13,7 +13,7 @@ from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
 from palpate.workers.mechanics.fem.elements.external_forces import spring_stiffness, stated_springs
 from palpate.workers.mechanics.fem.elements.model import LevelModel
 from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
-from palpate.workers.organs.specimen.spec import StateSpec
+from palpate.workers.organs.specimen.keys.loads import StateSpec
 
 # Supports that carry less than this fraction of the known forces are negligible.
 MOST_OF_FORCES = 0.01

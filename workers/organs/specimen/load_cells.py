@@ -17,8 +17,9 @@ from palpate.storage.values import FloatArray
 from palpate.workers.comparison.observation.interface import InterfacePoints
 from palpate.workers.diagnosis.problem.force_readings import FORCE
 from palpate.workers.mechanics.fem.problem.regions import Region
+from palpate.workers.organs.specimen.keys.loads import StateSpec
 from palpate.workers.organs.specimen.problem import AXES, region_of
-from palpate.workers.organs.specimen.spec import SpecimenSpec, StateSpec
+from palpate.workers.organs.specimen.spec import SpecimenSpec
 
 # Spacing of load cells, far beyond any correlation length.
 FAR_MM = 1e6

@@ -23,13 +23,9 @@ from palpate.workers.mechanics.fem.problem.loads import (
 )
 from palpate.workers.mechanics.fem.problem.regions import Box, OutsideCircle
 from palpate.workers.mechanics.materials.law_plugins import DEFAULT_LAW, law_named
-from palpate.workers.organs.specimen.spec import (
-    Axis,
-    ForceSpec,
-    LoadsSpec,
-    RegionSpec,
-    SpecimenSpec,
-)
+from palpate.workers.organs.specimen.keys.bodies import Axis, RegionSpec
+from palpate.workers.organs.specimen.keys.loads import ForceSpec, LoadsSpec
+from palpate.workers.organs.specimen.spec import SpecimenSpec
 from palpate.workers.units import KPA, NUMBER
 
 AXES = ("x", "y", "z")

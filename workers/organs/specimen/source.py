@@ -36,6 +36,7 @@ from palpate.workers.organs.specimen.effects import (
     specimen_effects,
 )
 from palpate.workers.organs.specimen.force_balance import supported
+from palpate.workers.organs.specimen.keys.loads import LoadsSpec, StateSpec
 from palpate.workers.organs.specimen.load_cells import (
     LoadCell,
     covariance_with,
@@ -53,7 +54,7 @@ from palpate.workers.organs.specimen.prediction import predict
 from palpate.workers.organs.specimen.problem import free_constants, is_wall, problem_of, region_of
 from palpate.workers.organs.specimen.readings.marker_data import Observed
 from palpate.workers.organs.specimen.sheet.body import body_of
-from palpate.workers.organs.specimen.spec import LoadsSpec, SpecimenSpec, StateSpec
+from palpate.workers.organs.specimen.spec import SpecimenSpec
 from palpate.workers.organs.specimen.summary_rows import (
     COMPONENTS,
     marker_states,

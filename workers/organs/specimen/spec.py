@@ -4,12 +4,12 @@ Every key includes its unit. Positions and directions are in the frame of the bo
 one corner at the origin and extends along positive x, y and z.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import Field, model_validator
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Triple
@@ -17,365 +17,17 @@ from palpate.workers.documents import parse_yaml
 from palpate.workers.input_files import read_text
 from palpate.workers.mechanics.materials.law_plugins import (
     DEFAULT_LAW,
-    law_named,
-    law_of_constant,
 )
-from palpate.workers.mechanics.parameters import Bounds, Vocabulary, unknown_name
+from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.missing_keys import Pairs
+from palpate.workers.organs.specimen.keys.bodies import BodySpec, RegionSpec
+from palpate.workers.organs.specimen.keys.loads import HoldSpec, PredictSpec, StateSpec, no_repeats
+from palpate.workers.organs.specimen.keys.materials import MaterialSpec
 from palpate.workers.organs.specimen.readings.spec import FieldSpec, FinitePoint, MarkersSpec
-from palpate.workers.spec import Door, Finite, LawName, Positive, validated
+from palpate.workers.spec import Door, validated
 
-Poisson = Annotated[float, Field(gt=0, lt=0.5)]
-Sizes = tuple[Positive, Positive, Positive]
-Axis = Literal["x", "y", "z"]
 # At most one material for each label of a voxel.
 MATERIALS = tuple(tissue for tissue in Tissue if tissue is not Tissue.AIR)
-
-
-class SheetSpec(Door):
-    """A thin sheet such as skin or a membrane, flat at z = 0 and free on both faces.
-
-    It resists stretching but not bending, and does not wrinkle. Its material may follow any law.
-    The data determine E times the thickness, so an error in the thickness becomes an error in E.
-
-    Parameters
-    ----------
-    size_mm
-        [x, y] of a rectangle with one corner at the origin, in mm.
-    outline_mm
-        Corners [x, y] of the sheet in mm, in order around it.
-    """
-
-    exactly_one: ClassVar[Pairs] = (("size_mm", "outline_mm"),)
-
-    size_mm: tuple[Positive, Positive] | None = None
-    outline_mm: Annotated[tuple[tuple[Finite, Finite], ...], Field(min_length=3)] | None = None
-    thickness_mm: Positive = Field(description="uniform thickness at rest, in mm")
-
-    @property
-    def corners_mm(self) -> tuple[tuple[float, float], ...]:
-        """Corners of the sheet, in order around it."""
-        if self.outline_mm is not None:
-            return self.outline_mm
-        x, y = self.size_mm or (0.0, 0.0)
-        return (0.0, 0.0), (x, 0.0), (x, y), (0.0, y)
-
-
-class BodySpec(Door):
-    """A block, a mesh file or a sheet.
-
-    A mesh file contains the surface (.stl) or the volume (.vtk, .msh, .inp) of a body.
-
-    Volume cells are tetrahedra, hexahedra, wedges or pyramids, of which only the corners are
-    used; a surface must be closed, in a file without volume cells. A body from a file is filled
-    with voxels of ``voxel_mm`` and meshed like a scan. ``mm_per_unit`` is 1000 for metres.
-    ``labels`` assigns a material to each cell label of a volume; ``label_array`` is the name of
-    the cell data with the labels.
-
-    Parameters
-    ----------
-    mm_per_unit
-        Length of one unit of the mesh file, in mm: 1000 for metres.
-    voxel_mm
-        Size of the voxels that fill a body from a file, in mm: about a tenth of its thinnest part.
-    labels
-        The material of each cell label of a volume.
-    label_array
-        Name of the cell data with the labels.
-    sheet
-        A thin sheet with its thickness.
-    """
-
-    exactly_one: ClassVar[Pairs] = (("box_mm", "mesh", "sheet"),)
-
-    box_mm: Sizes | None = Field(default=None, description="[x, y, z] of a block in mm")
-    mesh: str | None = Field(default=None, description="a mesh file: .stl, .vtk or .msh")
-    mm_per_unit: Positive = 1.0
-    voxel_mm: Positive | None = None
-    labels: dict[int, str] | None = None
-    label_array: str | None = None
-    sheet: SheetSpec | None = None
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit an empty key that older experiments lack, to preserve their digests."""
-        return _without(handler(self), "sheet")
-
-    @model_validator(mode="after")
-    def _one_body(self) -> Self:
-        if self.mesh is not None and self.voxel_mm is None:
-            raise ValueError("a mesh needs voxel_mm, about a tenth of its thinnest part")
-        if self.mesh is None and (self.voxel_mm or self.labels or self.label_array):
-            other = "box_mm" if self.box_mm is not None else "a sheet"
-            raise ValueError(f"voxel_mm, labels and label_array are for a mesh, not for {other}")
-        return self
-
-
-class BoxSpec(Door):
-    """All points between two corners."""
-
-    lower: FinitePoint = Field(description="corner with the smallest x, y and z, in mm")
-    upper: FinitePoint = Field(description="corner with the largest x, y and z, in mm")
-
-    @model_validator(mode="after")
-    def _ascending(self) -> Self:
-        if any(a > b for a, b in zip(self.lower, self.upper, strict=True)):
-            raise ValueError(f"needs lower <= upper, found {self.lower} and {self.upper}")
-        return self
-
-
-class PlaneSpec(Door):
-    """All points of a plane normal to an axis."""
-
-    axis: Axis = Field(description="x, y or z, normal to the plane")
-    at_mm: Finite = Field(description="position of the plane along the axis, in mm")
-
-
-class CircleSpec(Door):
-    """All points at least a radius from an axis along z, such as the clamped rim of a sheet."""
-
-    centre: tuple[Finite, Finite] = Field(description="[x, y] of the axis in mm")
-    radius: Positive = Field(description="radius in mm, a little less than the radius of the body")
-
-
-class RegionSpec(Door):
-    """A region of the body: a box, a plane or everything outside a circle.
-
-    Parameters
-    ----------
-    box_mm
-        All points between two corners.
-    plane
-        All points of a plane normal to an axis.
-    outside_circle_mm
-        All points at least a radius from an axis along z.
-    """
-
-    exactly_one: ClassVar[Pairs] = (("box_mm", "plane", "outside_circle_mm"),)
-
-    box_mm: BoxSpec | None = None
-    plane: PlaneSpec | None = None
-    outside_circle_mm: CircleSpec | None = None
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit an empty key that older experiments lack, to preserve their digests."""
-        return _without(handler(self), "outside_circle_mm")
-
-
-class MaterialSpec(Door):
-    """A material: its law, stiffness, Poisson's ratio and density.
-
-    ``E_kpa`` is the interval in which Young's modulus is expected: a prior, which data may
-    overrule; a fit outside it is reported. ``nu`` is a number, or an interval that bounds the
-    fit. ``constants`` are shape constants of the law: fixed, such as ``yeoh_c2: 0.5``, or fitted
-    with an expected interval, such as ``yeoh_c2: [0.1, 2]``. A constant that is not listed has its
-    neo-Hookean value, mostly 0.
-
-    Parameters
-    ----------
-    law
-        The material law; `palpate parameters --law NAME` lists its constants.
-    constants
-        Shape constants of the law, fixed (``yeoh_c2: 0.5``) or fitted with an expected interval
-        (``yeoh_c2: [0.1, 2]``).
-    """
-
-    law: LawName = DEFAULT_LAW
-    E_kpa: tuple[Positive, Positive] = Field(
-        description="interval in which Young's modulus is searched, [lower, upper] in kPa"
-    )
-    nu: Poisson | tuple[Poisson, Poisson] = Field(
-        description="Poisson's ratio, or an interval in which it is searched"
-    )
-    density_kg_per_m3: Positive = Field(description="density in kg/m3, for its weight")
-    constants: dict[str, Finite | tuple[Positive, Positive]] = Field(default_factory=dict)
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit an empty key that older experiments lack, to preserve their digests."""
-        return _without(handler(self), "constants")
-
-    @property
-    def shape(self) -> Vocabulary:
-        """The shape constants of the law."""
-        return Vocabulary(law_named(self.law).constants())
-
-    @property
-    def shape_held(self) -> dict[str, float]:
-        """The fixed shape constants, by internal names and in internal units."""
-        given = self.constants.items()
-        return self.shape.from_door({n: v for n, v in given if isinstance(v, float)})
-
-    @property
-    def shape_free(self) -> dict[str, Bounds]:
-        """Intervals of the fitted shape constants, by internal names and in internal units."""
-        given = self.constants.items()
-        return self.shape.bounds_from_door({n: v for n, v in given if isinstance(v, tuple)})
-
-    @model_validator(mode="after")
-    def _shape_of_the_law(self) -> Self:
-        for name in self.constants:
-            other = law_of_constant(name)
-            if name not in self.shape.door_names and other not in ("", self.law):
-                raise ValueError(
-                    f"constants: {name} belongs to the law {other}, but law is {self.law}"
-                )
-        try:
-            _ = self.shape_held, self.shape_free
-        except InputError as error:
-            raise ValueError(f"constants: {error}") from None
-        return self
-
-    @model_validator(mode="after")
-    def _intervals(self) -> Self:
-        for name, interval in (("E_kpa", self.E_kpa), ("nu", self.nu)):
-            if isinstance(interval, tuple) and not interval[0] < interval[1]:
-                low, high = interval
-                raise ValueError(
-                    f"{name} needs [lower, upper] with lower < upper, found {low}, {high}"
-                )
-        return self
-
-
-class HoldSpec(Door):
-    """A hold: a region and the axes along which it is fixed.
-
-    Parameters
-    ----------
-    axes
-        Axes along which the region is fixed.
-    """
-
-    region: str = Field(description="name of the held region")
-    axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ("x", "y", "z")
-
-
-class ForceSpec(Door):
-    """A force or a hanging mass on a region, with a constant direction."""
-
-    exactly_one: ClassVar[Pairs] = (("force_n", "mass_g"),)
-
-    region: str = Field(description="name of the loaded region")
-    force_n: FinitePoint | None = Field(default=None, description="[x, y, z] in N")
-    mass_g: Positive | None = Field(default=None, description="a hanging mass in g")
-
-
-class MoveSpec(Door):
-    """A displacement prescribed on a region: uniform, or as measured by the field.
-
-    Parameters
-    ----------
-    region
-        Name of the moved region.
-    displacement_mm
-        Displacement along x, y and z, in mm.
-    measured
-        Whether the region moves as measured by `field`.
-    axes
-        Axes along which the displacement is prescribed.
-    """
-
-    region: str
-    displacement_mm: FinitePoint | None = None
-    measured: bool = False
-    axes: Annotated[tuple[Axis, ...], Field(min_length=1)] = ("x", "y", "z")
-
-    @model_validator(mode="after")
-    def _one_displacement(self) -> Self:
-        if (self.displacement_mm is None) != self.measured:
-            raise ValueError("give exactly one of displacement_mm and measured: true")
-        return self
-
-
-class ReactionSpec(Door):
-    """The force on the body by which a region is moved along an axis, read by a load cell.
-
-    Parameters
-    ----------
-    region
-        Name of the moved region.
-    axis
-        Axis of the load cell.
-    force_n
-        Reading of the load cell in N: the force on the body.
-    sd_n
-        Standard deviation of the reading, in N.
-    """
-
-    region: str
-    axis: Axis
-    force_n: Finite
-    sd_n: Positive
-
-
-class LoadsSpec(Door):
-    """Loads of one state; gravity is the same in all states.
-
-    Parameters
-    ----------
-    forces
-        Forces and hanging masses.
-    moves
-        Prescribed displacements.
-    pressure_kpa
-        Pressure under a sheet in kPa, which inflates it towards +z.
-    """
-
-    forces: tuple[ForceSpec, ...] = ()
-    moves: tuple[MoveSpec, ...] = ()
-    pressure_kpa: Finite | None = None
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit an empty key that older experiments lack, to preserve their digests."""
-        return _without(handler(self), "pressure_kpa")
-
-    @property
-    def regions(self) -> list[str]:
-        """Names of the loaded and moved regions."""
-        return [one.region for one in self.forces] + [one.region for one in self.moves]
-
-
-class StateSpec(LoadsSpec):
-    """A loaded state: its loads and recordings, one file for each repeat.
-
-    Parameters
-    ----------
-    reactions
-        Readings of load cells, the same ones in all states.
-    """
-
-    name: Annotated[str, Field(min_length=1)] = Field(description="a name for the report")
-    files: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
-        description="the recordings of this state, one for each repeat"
-    )
-    reactions: tuple[ReactionSpec, ...] = ()
-
-    @model_validator(mode="after")
-    def _reactions_of_moves(self) -> Self:
-        moved = [(move.region, axis) for move in self.moves for axis in move.axes]
-        read = [(one.region, one.axis) for one in self.reactions]
-        for region, axis in read:
-            if (region, axis) not in moved:
-                raise ValueError(
-                    f"state {self.name} has a reaction of {region} along {axis}, which does not "
-                    "move there: list it under moves, or give the force under forces"
-                )
-        _once(f"reactions of state {self.name}", [f"{r} along {a}" for r, a in read])
-        return self
-
-
-class PredictSpec(LoadsSpec):
-    """A state to predict, not measured or held out.
-
-    Parameters
-    ----------
-    name
-        A name for the report.
-    """
-
-    name: Annotated[str, Field(min_length=1)]
 
 
 class SpecimenSpec(Door):
@@ -432,7 +84,7 @@ class SpecimenSpec(Door):
         read = [[(one.region, one.axis) for one in state.reactions] for state in self.states]
         if any(one != read[0] for one in read):
             raise ValueError("reactions must be the same in all states, in the same order")
-        _once("states", [one.name for one in self.states] + [one.name for one in self.predict])
+        no_repeats("states", [one.name for one in self.states] + [one.name for one in self.predict])
         return self
 
     def _check_boundary(self) -> None:
@@ -496,19 +148,8 @@ def read_spec(path: Path) -> SpecimenSpec:
     return validated(SpecimenSpec, data, str(path))
 
 
-def _without(values: dict[str, Any], key: str) -> dict[str, Any]:
-    """Remove a key if its value is empty."""
-    return {k: v for k, v in values.items() if k != key or v}
-
-
 def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:
     names = list(known)
     for name in wanted:
         if name not in names:
             raise ValueError(unknown_name(kind, name, names))
-
-
-def _once(what: str, names: Sequence[str]) -> None:
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise ValueError(f"{what}: list each name once; repeated: {', '.join(twice)}")

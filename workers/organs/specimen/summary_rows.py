@@ -18,10 +18,11 @@ from palpate.workers.diagnosis.schema.experiment_summary import (
 from palpate.workers.diagnosis.schema.summary import RegionGap
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis
+from palpate.workers.organs.specimen.keys.loads import PredictSpec
 from palpate.workers.organs.specimen.load_cells import LoadCell
 from palpate.workers.organs.specimen.prediction import Prediction
 from palpate.workers.organs.specimen.readings.marker_data import Observed
-from palpate.workers.organs.specimen.spec import PredictSpec, SpecimenSpec
+from palpate.workers.organs.specimen.spec import SpecimenSpec
 
 COMPONENTS = ("displacement along x", "displacement along y", "displacement along z")
 

@@ -10,8 +10,9 @@ from scipy import ndimage
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, IntArray, Volume
 from palpate.workers.compile_flags import CONTRACTED
+from palpate.workers.organs.specimen.keys.bodies import BodySpec
 from palpate.workers.organs.specimen.readings.mesh_file import MeshFile, read_mesh_file
-from palpate.workers.organs.specimen.spec import BodySpec, SpecimenSpec
+from palpate.workers.organs.specimen.spec import SpecimenSpec
 
 # Cell data with the groups of Gmsh, the default of label_array.
 PHYSICAL = "gmsh:physical"

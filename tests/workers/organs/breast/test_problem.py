@@ -7,6 +7,8 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
 from palpate.workers.mechanics.fem.problem.loads import DistanceControl, ForceControl
 from palpate.workers.organs.breast.effects import BREAST_MODEL
+from palpate.workers.organs.breast.keys.load import LoadSpec
+from palpate.workers.organs.breast.keys.model import ModelSpec
 from palpate.workers.organs.breast.problem import (
     check_skin_layer,
     extent_of,
@@ -14,7 +16,6 @@ from palpate.workers.organs.breast.problem import (
     plates_of,
     problem_of,
 )
-from palpate.workers.organs.breast.spec import LoadSpec, ModelSpec
 
 FORCE = LoadSpec(force_n=100)
 BODY = (-50.0, 50.0)

@@ -6,14 +6,9 @@ from pydantic import ValidationError
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
 from palpate.workers.body.phantom.settings import BreastPhantom
-from palpate.workers.organs.breast.spec import (
-    BreastCase,
-    BreastScore,
-    BreastTarget,
-    LoadSpec,
-    MeshSpec,
-    PlateDistanceSpec,
-)
+from palpate.workers.organs.breast.keys.load import LoadSpec, PlateDistanceSpec
+from palpate.workers.organs.breast.keys.model import MeshSpec
+from palpate.workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget
 from palpate.workers.spec import validated
 
 PHANTOM = {"phantom": {"spacing_mm": 2.0}}

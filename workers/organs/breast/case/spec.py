@@ -22,8 +22,8 @@ from palpate.workers.mechanics.parameters import unknown_name
 from palpate.workers.missing_keys import Pairs, missing
 from palpate.workers.old_names import SAME_FIBRES, with_current_names, with_recorded_names
 from palpate.workers.organs.breast import default_physics as physics
+from palpate.workers.organs.breast.keys.images import Axes, Labels, SpacingMm
 from palpate.workers.organs.breast.laws import TissueLaws, for_all_tissues, shape_constants
-from palpate.workers.organs.breast.spec import Axes, Labels, SpacingMm
 from palpate.workers.spec import Door, Finite, NotNegative, Positive
 from palpate.workers.units import KPA, Unit
 

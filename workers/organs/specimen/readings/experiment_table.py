@@ -1,12 +1,9 @@
 """Summary of the file of an experiment as a table."""
 
-from palpate.workers.organs.specimen.spec import (
-    BodySpec,
-    LoadsSpec,
-    MaterialSpec,
-    SpecimenSpec,
-    StateSpec,
-)
+from palpate.workers.organs.specimen.keys.bodies import BodySpec
+from palpate.workers.organs.specimen.keys.loads import LoadsSpec, StateSpec
+from palpate.workers.organs.specimen.keys.materials import MaterialSpec
+from palpate.workers.organs.specimen.spec import SpecimenSpec
 
 
 def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:

@@ -11,10 +11,11 @@ from palpate.workers.mechanics.fem.problem.regions import Box
 from palpate.workers.mechanics.sheet.mesh import sheet_mesh
 from palpate.workers.mechanics.sheet.model import SheetModel
 from palpate.workers.organs.specimen.body import FARTHEST_MM, Body
+from palpate.workers.organs.specimen.keys.bodies import SheetSpec
 from palpate.workers.organs.specimen.load_cells import LoadCell
 from palpate.workers.organs.specimen.problem import region_of
 from palpate.workers.organs.specimen.sheet.forward import SheetForward
-from palpate.workers.organs.specimen.spec import SheetSpec, SpecimenSpec
+from palpate.workers.organs.specimen.spec import SpecimenSpec
 
 
 def body_of(spec: SpecimenSpec, voxels: Volume | None) -> Body:

@@ -1,0 +1,1 @@
+"""Keys of the parts of a study of a breast."""

@@ -1,0 +1,1 @@
+"""Keys of the parts of a bench experiment."""

@@ -15,7 +15,8 @@ from pathlib import Path
 
 from palpate.service.cluster.dispatch import Ending, Task, TaskCalls
 from palpate.service.cluster.single_process import SingleProcess
-from palpate.service.diagnosis.run import Step, request_for, run
+from palpate.service.diagnosis.run import request_for, run
+from palpate.service.diagnosis.step import Step
 
 WORKERS = (1, 2, 4, 12)
 

@@ -7,7 +7,8 @@ from typing import Any
 from distributed import Client
 
 from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.diagnosis.run import FinishedDiagnosis, Observer, Step, run
+from palpate.service.diagnosis.run import FinishedDiagnosis, run
+from palpate.service.diagnosis.step import Observer, Step
 from palpate.service.study.observers.dask_records import SchedulerEvents
 from palpate.workers.tasks.diagnosis_store import DiagnosisRequest
 

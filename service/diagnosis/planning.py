@@ -1,15 +1,14 @@
 """A plan from its source to its summary: simulate every load, and evaluate the results."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 from palpate.service.cluster.dispatch import Dispatcher, value_of
+from palpate.service.diagnosis.step import Observer, Step
 from palpate.storage.backends.places import Location
 from palpate.workers.diagnosis.schema.plan import PlanSummary
 from palpate.workers.diagnosis.settings.values import SETTINGS
 from palpate.workers.organs.study_checks import Finding
 from palpate.workers.tasks.planning import (
-    LoadRecord,
     PlanRequest,
     analyse_load,
     list_loads,
@@ -18,9 +17,6 @@ from palpate.workers.tasks.planning import (
 )
 from palpate.workers.tasks.sources import add_source, check_nodes, check_source, open_planned
 from palpate.workers.tasks.task_store import TaskStore
-
-PlanObserver = Callable[[int, int, LoadRecord | None], object]
-"""Called with the number of completed loads, the total, and the last record or None."""
 
 NODES = 2000
 
@@ -81,7 +77,7 @@ def checked_plan(
     return named(PlanRequest(str(parts.store.root), name, nodes, spacing_mm)), findings
 
 
-def run_plan(request: PlanRequest, dispatcher: Dispatcher, observe: PlanObserver) -> PlanSummary:
+def run_plan(request: PlanRequest, dispatcher: Dispatcher, observe: Observer) -> PlanSummary:
     """Plan an acquisition, or continue a plan.
 
     Raises
@@ -96,8 +92,9 @@ def run_plan(request: PlanRequest, dispatcher: Dispatcher, observe: PlanObserver
         If the dispatcher is asked to stop.
     """
     loads = dispatcher.call(list_loads, request).loads
-    observe(0, len(loads), None)
+    observe(Step("loads", 0, len(loads)))
     calls = [(name, (request, number)) for number, name in enumerate(loads)]
     for done, ending in enumerate(dispatcher.run(analyse_load, calls), start=1):
-        observe(done, len(loads), value_of(ending, f"load {ending.key}"))
+        record = value_of(ending, f"load {ending.key}")
+        observe(Step("loads", done, len(loads), ending.key, record))
     return dispatcher.call(weigh_plan, request)

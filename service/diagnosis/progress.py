@@ -1,4 +1,4 @@
-"""Progress of a diagnosis on standard error: a line for each step, and one every ten seconds."""
+"""Progress of a diagnosis or plan on standard error: a line a step, and one every ten seconds."""
 
 import threading
 import time
@@ -6,7 +6,7 @@ import time
 from rich.console import Console
 from rich.status import Status
 
-from palpate.service.diagnosis.run import Step
+from palpate.service.diagnosis.step import Step
 from palpate.service.formatting import number
 from palpate.service.study.observers.progress import clock
 from palpate.workers.tasks.diagnosis_store import (
@@ -14,6 +14,7 @@ from palpate.workers.tasks.diagnosis_store import (
     JointFitRecord,
     PreparationRecord,
 )
+from palpate.workers.tasks.planning import LoadRecord
 
 LINE_EVERY_S = 10.0
 _PHASES = {
@@ -23,6 +24,7 @@ _PHASES = {
     "weighing": "weighing",
     "reading": "re-estimating the noise",
     "refits": "refitting the suspects",
+    "loads": "simulating loads and the influence of every effect on them",
 }
 
 
@@ -76,6 +78,9 @@ class DiagnosisProgress:
             return
         elif isinstance(record, JointFitRecord):
             self._line(f"{done} of {of} refits: {_fitted(step.task, record)}")
+        elif isinstance(record, LoadRecord):
+            ending = "" if record.simulated else ", not converged"
+            self._line(f"{done} of {of} loads: {record.name}{ending}")
         elif done == of or now - self._last >= self.every_s:
             self._line(f"{done} of {of} effects and scans")
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from palpate.service.cluster.dispatch import Ending, Task, TaskCalls, value_of
+from palpate.service.diagnosis.step import Observer, Step
 from palpate.service.errors import TaskError
 from palpate.service.study.plugin_use import require_plugins
 from palpate.storage.backends.places import Location
@@ -28,10 +29,8 @@ from palpate.workers.tasks.diagnosis import (
     weigh_hypotheses,
 )
 from palpate.workers.tasks.diagnosis_store import (
-    CalibrationRecord,
     DiagnosisRequest,
     DiagnosisStore,
-    JointFitRecord,
     Outcome,
     named,
 )
@@ -39,31 +38,6 @@ from palpate.workers.tasks.sources import add_source, check_nodes, open_source
 from palpate.workers.tasks.task_store import TaskStore
 
 R = TypeVar("R")
-
-
-@dataclass(frozen=True)
-class Step:
-    """The progress of a diagnosis.
-
-    Parameters
-    ----------
-    phase : {"preparation", "calibration", "effects", "weighing", "reading", "refits"}
-    done, of : int
-        Completed tasks of the phase, and all of them; 0 when it begins.
-    task : str
-        Subject of the last task: "plate_tilt with friction". Empty when the phase begins.
-    record : object
-        Its result.
-    """
-
-    phase: str
-    done: int
-    of: int
-    task: str = ""
-    record: CalibrationRecord | JointFitRecord | object = None
-
-
-Observer = Callable[[Step], object]
 
 
 class Workers(Protocol):

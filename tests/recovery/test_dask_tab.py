@@ -19,7 +19,7 @@ from palpate.service.cluster.dispatch import Dispatcher
 from palpate.service.cluster.open import open_cluster
 from palpate.service.diagnosis import dask_observer as dask_diagnosis
 from palpate.service.diagnosis.dask_observer import DiagnosisRecords, run_and_tell
-from palpate.service.diagnosis.run import Step
+from palpate.service.diagnosis.step import Step
 from palpate.service.server.jobs.study_job import run_job, study_request
 from palpate.service.study.log import StudyLog
 from palpate.service.study.observers.dask_records import DaskRecords

@@ -1,6 +1,5 @@
 """The implementation of `palpate plan`."""
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,15 +26,15 @@ from palpate.service.diagnosis.plan_words import (
     silence,
 )
 from palpate.service.diagnosis.planning import checked_plan, run_plan
+from palpate.service.diagnosis.progress import DiagnosisProgress
 from palpate.service.diagnosis.words import spoken
 from palpate.service.report.plan.page import render
-from palpate.service.study.observers.progress import clock
 from palpate.service.study.session import session
 from palpate.storage.backends.atomic import explained, write_file
 from palpate.storage.records.typed_json import to_json
 from palpate.workers.diagnosis.schema.plan import PlanSummary
 from palpate.workers.organs.study_checks import caveats_of
-from palpate.workers.tasks.planning import LoadRecord, PlanRequest, stored_plan
+from palpate.workers.tasks.planning import PlanRequest, stored_plan
 
 
 @dataclass(frozen=True)
@@ -77,24 +76,11 @@ def planned(
     if done is not None:
         note("This plan is in the store: nothing to compute.")
         return done
-    with session(scheduler, workers) as opened:
-        progress = _Progress(progress_console())
+    with (
+        session(scheduler, workers) as opened,
+        DiagnosisProgress(progress_console()) as progress,
+    ):
         return run_plan(request, opened.dispatcher, progress)
-
-
-class _Progress:
-    """Progress on standard error, a line for each load."""
-
-    def __init__(self, console: Console) -> None:
-        self.console, self.begun = console, time.monotonic()
-
-    def __call__(self, done: int, of: int, record: LoadRecord | None) -> None:
-        text = f"simulating {of} loads and the influence of every effect on them"
-        if record is not None:
-            ending = "" if record.simulated else ", not converged"
-            text = f"{done} of {of} loads: {record.name}{ending}"
-        spent = clock(time.monotonic() - self.begun)
-        self.console.print(f"[{spent}] {text}", markup=False, highlight=False, soft_wrap=True)
 
 
 def _write(summary: PlanSummary, page: Path) -> Path:

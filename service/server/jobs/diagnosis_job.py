@@ -10,7 +10,8 @@ from typing import Any
 
 from palpate.service.cluster.dispatch import Dispatcher
 from palpate.service.diagnosis.dask_observer import run_and_tell
-from palpate.service.diagnosis.run import Step, finished, request_for, with_caveats
+from palpate.service.diagnosis.run import finished, request_for, with_caveats
+from palpate.service.diagnosis.step import Step
 from palpate.service.report.diagnosis.files import write_diagnosis
 from palpate.service.report.diagnosis.made import Origin, origin_of
 from palpate.storage.backends.atomic import explained

@@ -13,7 +13,8 @@ from palpate.service.cli import main
 from palpate.service.cluster.dispatch import Dispatcher
 from palpate.service.cluster.open import open_cluster
 from palpate.service.diagnosis.quotability import summary_json
-from palpate.service.diagnosis.run import FinishedDiagnosis, Step, finished, request_for, run
+from palpate.service.diagnosis.run import FinishedDiagnosis, finished, request_for, run
+from palpate.service.diagnosis.step import Step
 from palpate.service.errors import Interrupted
 from palpate.storage.errors import StoreError
 from palpate.storage.records.typed_json import to_json

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -151,6 +151,16 @@ class SearchSpec(Door):
         ``{E_fat_kpa: {mean: 8, sd: 2}}``; for the strategies that use derivatives, which weigh
         them against the noise of the images.
     """
+
+    later_keys: ClassVar[tuple[str, ...]] = (
+        "mode",
+        "in_flight",
+        "start",
+        "stop",
+        "scale",
+        "constraints",
+        "prior",
+    )
 
     parameters: Annotated[dict[str, Bounds], Field(min_length=1)] = Field(
         description="lower and upper bound of each searched constant, such as [5, 20]"

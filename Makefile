@@ -3,6 +3,7 @@
 #   make demo        a small search on this machine, and its report
 #   make quick       lint and the unit tests that need no cluster, in a minute and a half
 #   make test        style, types, import rules and all quick tests
+#   make coverage    the lines that the quick tests run; compiled kernels and processes count less
 #   make test-slow   the tests that take minutes or run at full scale
 #   make test-robustness   bad files, attacks over HTTP, kills: some 20 minutes
 #   make bench       figures: how long things take here
@@ -20,7 +21,7 @@ READY := $(VENV)/.ready
 PYTHON ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test test-slow test-robustness bench docs kernels-breast kernels-others lint format constraints clean
+.PHONY: help demo quick test coverage test-slow test-robustness bench docs kernels-breast kernels-others lint format constraints clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -40,6 +41,9 @@ quick: lint
 test: $(READY)
 	@$(MAKE) --no-print-directory -j 2 kernels-breast lint kernels-others
 	$(BIN)/pytest -m "not slow" -n 2 --dist loadfile --no-loadscope-reorder
+
+coverage: $(READY)
+	$(BIN)/pytest -q -m "not slow" -n 2 --dist loadfile --cov
 
 test-slow: $(READY)
 	$(BIN)/pytest -m slow

@@ -47,7 +47,7 @@ class Direction:
         Standard deviation, along the direction, of the constant whose weight is 1; None if the
         direction is not identified.
     words : str
-        A description such as ``eta_fat and E_fat trade 1 : 0.3, known to 12 %``.
+        A description such as ``eta_fat up by 10 % with E_fat down by 3 %, known to 12 %``.
     """
 
     weights: Mapping[str, float]
@@ -330,13 +330,5 @@ def _in_words(weights: Mapping[str, float], sd: float | None) -> str:
     known = "not determined at all" if sd is None else f"known to {share(sd)}"
     if len(named) == 1:
         return f"{named[0][0]} alone, {known}"
-    names = ", ".join(n for n, _ in named[:-1]) + f" and {named[-1][0]}"
-    sizes = " : ".join(f"{abs(w):.2g}" for _, w in named)
-    signs = {w > 0 for _, w in named}
-    if len(signs) == 1:
-        return f"{names} rise together {sizes}, {known}"
-    if len(named) == 2:
-        return f"{names} trade {sizes}, {known}"
-    up = ", ".join(n for n, w in named if w > 0)
-    down = ", ".join(n for n, w in named if w < 0)
-    return f"{up} trade against {down} ({names}: {sizes}), {known}"
+    changes = [f"{n} {'up' if w > 0 else 'down'} by {10 * abs(w):.2g} %" for n, w in named]
+    return f"{' with '.join(changes)}, {known}"

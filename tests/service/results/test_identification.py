@@ -89,7 +89,7 @@ def test_describes_a_trade_off_between_constants() -> None:
     found = identification_from_tangents(
         SearchedConstants(BREAST, BOUNDS), 0, fit(jacobian, q[:, 2])
     )
-    assert found.directions[-1].words == "eta_fat and E_fat trade 1 : 0.3, known to 19 %"
+    assert found.directions[-1].words == "eta_fat up by 10 % with E_fat down by 3 %, known to 19 %"
     assert found.correlation[0][1] < -0.5
 
 
@@ -106,7 +106,8 @@ def test_common_scale_identifies_only_ratios() -> None:
     assert ratio.interval is not None
     assert ratio.interval.upper == pytest.approx(10 * math.exp(DEVIATIONS / 20))
     assert (
-        found.directions[-1].words == "E_fat and eta_fat rise together 1 : 1, not determined at all"
+        found.directions[-1].words
+        == "E_fat up by 10 % with eta_fat up by 10 %, not determined at all"
     )
 
 

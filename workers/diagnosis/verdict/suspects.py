@@ -38,7 +38,7 @@ def suspects(analysis: NominalAnalysis, known: Catalogue) -> list[Effect]:
 
 
 def pairs(
-    analysis: NominalAnalysis, known: Catalogue, singles: Sequence[JointFit]
+    analysis: NominalAnalysis, known: Catalogue, fits: Sequence[JointFit]
 ) -> list[Combination]:
     """Return pairs that are worth a joint fit.
 
@@ -46,7 +46,7 @@ def pairs(
     effects that their residuals support, if the expected evidence is higher; and all pairs of the
     best effects, if a smooth field explains the residuals of the best one.
     """
-    near = ranked(singles)[: SETTINGS.joint_fits.partners]
+    near = ranked(one for one in fits if len(one.effects) == 1)[: SETTINGS.joint_fits.partners]
     if not near:
         return []
     best, *others = near

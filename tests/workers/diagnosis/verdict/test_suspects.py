@@ -119,30 +119,41 @@ def test_every_visible_effect_is_fitted_before_none_of_these(monkeypatch) -> Non
     assert isinstance(reached, Diagnosis) and reached.verdict.kind == "effect"
 
 
-def test_three_effects_extend_the_best_two(monkeypatch) -> None:
-    """The best three are not extended, because a hypothesis has at most three effects."""
+def joint_fit(names: str, log_evidence: float) -> Any:
+    """Return a fit of one to three effects."""
+    found = fitted("plate_tilt", log_evidence)
+    found.names = tuple(names.split())
+    found.effects = tuple(effect(name) for name in found.names)
+    found.fit.linearised = lambda inverse: Left(found.names)
+    return found
 
-    def joint_fit(names: str, log_evidence: float) -> Any:
-        found = fitted("plate_tilt", log_evidence)
-        found.names = tuple(names.split())
-        found.effects = tuple(effect(name) for name in found.names)
-        found.fit.linearised = lambda inverse: Left(found.names)
-        return found
 
-    fits = [
-        joint_fit("plate_tilt", 50.0),
-        joint_fit("plate_tilt growth", 80.0),
-        joint_fit("plate_tilt growth creep", 120.0),
-    ]
+@pytest.fixture
+def supported(monkeypatch) -> tuple[Any, dict[str, Any]]:
+    """An analysis in which the residuals of every fit support a skin, and the catalogue."""
     monkeypatch.setattr(
         "palpate.workers.diagnosis.verdict.suspects.screen",
         lambda *_: [screened("skin_added", 30.0)],
     )
-    analysis: Any = SimpleNamespace(sensitivities=[], inverse=SimpleNamespace(coarsening=0.3))
+    monkeypatch.setattr(
+        "palpate.workers.diagnosis.verdict.suspects._is_unexplained", lambda *_: True
+    )
+    analysis = SimpleNamespace(sensitivities=[], inverse=SimpleNamespace(coarsening=0.3))
     known = {name: effect(name) for name in ("plate_tilt", "growth", "creep", "skin_added")}
-    (found,) = triples(analysis, known, fits)
+    return analysis, known
+
+
+def test_two_effects_extend_single_ones(supported) -> None:
+    """Fits of two and three effects are known when all visible effects are fitted."""
+    found = [{one.name for one in effects} for effects in pairs(*supported, FITS)]
+    assert found == [{"plate_tilt", "skin_added"}, {"plate_tilt", "creep"}]
+
+
+def test_three_effects_extend_the_best_two(supported) -> None:
+    """The best three are not extended, because a hypothesis has at most three effects."""
+    (found,) = triples(*supported, FITS)
     assert [one.name for one in found] == ["plate_tilt", "growth", "skin_added"]
-    assert triples(analysis, known, [joint_fit("growth", 90.0), *fits]) == []
+    assert triples(*supported, [joint_fit("growth", 90.0), *FITS]) == []
 
 
 def test_supported_hidden_effects_are_fitted():
@@ -176,6 +187,14 @@ def fitted(name: str, log_evidence: float) -> Any:
     return SimpleNamespace(
         names=(name,), effects=(effect(name),), fit=at, log_evidence=log_evidence
     )
+
+
+FITS = [
+    joint_fit("plate_tilt", 50.0),
+    joint_fit("creep", 40.0),
+    joint_fit("plate_tilt growth", 80.0),
+    joint_fit("plate_tilt growth creep", 120.0),
+]
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,16 @@
-r"""Evidence for hypotheses, coarsened and averaged over uncertain noise.
+r"""Evidence for hypotheses, averaged over uncertain noise.
 
 No model of a body is exact: another solver, mesh or contact model differs from it by more than the
-noise of an image. So hypotheses are weighed by how *near* they come to the data (the coarsened
-posterior of J. W. Miller and D. B. Dunson, JASA 114 (2019) 1113): the likelihood under the
-segmentation noise is raised to a power zeta,
+noise of an image. So the parameters of a hypothesis h have the coarsened posterior of J. W. Miller
+and D. B. Dunson (JASA 114 (2019) 1113): the likelihood under the segmentation noise is raised to a
+power zeta, as if that noise were 1 / sqrt(zeta) times as large. Hypotheses are weighed by their
+evidence to the same power,
 
-.. math:: p(h | d) \propto p(h) \int p(d | \theta, h)^\zeta \, p(\theta | h) \, d\theta,
+.. math:: p(h | d) \propto p(h) \left( \int p(d | \theta, h) \, p(\theta | h) \, d\theta
+    \right)^\zeta,
 
-as if the noise were 1 / sqrt(zeta) times as large.
+so that the price of each parameter is scaled as its gain is. With zeta inside the integral, causes
+of many parameters, such as a lump, would need several times the gain of others.
 
 The given covariance is block-diagonal in the interfaces. One Cholesky factor for each correlation
 length whitens everything; scales, the numerical error and a smooth field only add systems as large
@@ -15,6 +18,7 @@ as their number of columns.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,8 +124,6 @@ class NoiseModel:
         Columns of a smooth field of unit amplitude, for each of its lengths.
     amplitudes_mm : sequence of float
         Amplitudes of the field; all combinations of length and amplitude are equally probable.
-    coarsening : float
-        The power zeta of the likelihood; 1 for an exact model.
     """
 
     def __init__(
@@ -130,9 +132,8 @@ class NoiseModel:
         states: Sequence[NoiseState],
         fields: Sequence[FloatArray] = (),
         amplitudes_mm: Sequence[float] = SETTINGS.smooth_field.amplitudes_mm,
-        coarsening: float = 1.0,
     ) -> None:
-        self._power = coarsening
+        self._power = 1.0
         self.parts, self.states, self.amplitudes_mm = parts, tuple(states), tuple(amplitudes_mm)
         self.size = parts.size
         self._masks = [parts.groups == g for g in range(int(parts.groups.max()) + 1)]
@@ -150,6 +151,12 @@ class NoiseModel:
         self._n_fields = len(fields)
         self._systems: dict[int, FloatArray] = {}
         self._field_systems: dict[tuple[int, int, float], FloatArray] = {}
+
+    def coarsened(self, power: float) -> "NoiseModel":
+        """Return this noise with the likelihood raised to a power."""
+        found = copy(self)
+        found._power, found._systems, found._field_systems = power, {}, {}
+        return found
 
     @property
     def likeliest(self) -> tuple[NoiseState, ...]:

@@ -132,7 +132,7 @@ class _Beliefs:
     """
 
     def __init__(self, analysis: NominalAnalysis, at: Fit, acts: bool, field: bool) -> None:
-        noise, hypothesis = analysis.noise, analysis.hypothesis(at)
+        noise, hypothesis = analysis.coarse_noise, analysis.hypothesis(at)
         errors = analysis.errors_of_form(hypothesis) if acts else _nothing_of(hypothesis)
         fields = analysis.fields if field else (_nothing_of(hypothesis),)
         self._parts: list[_Part] = []

@@ -124,7 +124,7 @@ def _parameters(
     """
     analysis, fitted = diagnosis.analysis, diagnosis.joint_fits.get(names)
     posterior = fitted and parameter_posterior(
-        analysis.noise, analysis.hypothesis(fitted.fit), fitted.fit.unknowns
+        analysis.coarse_noise, analysis.hypothesis(fitted.fit), fitted.fit.unknowns
     )
     screened = analysis.screening_by_name[effect.name]
     centre_mm = analysis.inverse.frame.centre_mm
@@ -365,7 +365,7 @@ def _intervals(diagnosis: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]
     """
     analysis = diagnosis.analysis
     solver_sd = SETTINGS.mesh.stiffness_sd if analysis.inverse.is_segmented else 0.0
-    posterior = parameter_posterior(analysis.noise, analysis.hypothesis(fit), fit.unknowns)
+    posterior = parameter_posterior(analysis.coarse_noise, analysis.hypothesis(fit), fit.unknowns)
     found = {}
     for i, free in enumerate(fit.unknowns.free):
         middle, here = float(posterior.mean[i]), float(fit.z[i])

@@ -202,7 +202,7 @@ class InverseProblem:
 
     @property
     def coarsening(self) -> float:
-        """Power of the likelihood; see `workers.diagnosis.noise.evidence`. 1 for measured noise."""
+        """The power zeta of `workers.diagnosis.noise.evidence`; 1 for measured points."""
         return SETTINGS.noise.coarsening if self.is_segmented else 1.0
 
     @property

@@ -76,15 +76,19 @@ class NominalAnalysis:
 
     @cached_property
     def noise(self) -> NoiseModel:
-        """Noise model of all hypotheses, with the smooth field for unlisted causes.
+        """Noise of the evidence of all hypotheses, with the smooth field for unlisted causes.
 
         It takes seconds for 4,000 residuals.
         """
         learnt, prior = self.inverse.learnt, self.inverse.something_else
         if learnt is None:
             raise ValueError("the noise is only known after the calibration")
-        zeta = self.inverse.coarsening
-        return NoiseModel(learnt.parts, learnt.states, self.fields, prior.amplitudes_mm, zeta)
+        return NoiseModel(learnt.parts, learnt.states, self.fields, prior.amplitudes_mm)
+
+    @cached_property
+    def coarse_noise(self) -> NoiseModel:
+        """Noise of the posterior of parameters and gaps; see `workers.diagnosis.noise.evidence`."""
+        return self.noise.coarsened(self.inverse.coarsening)
 
     def hypothesis(self, at: Fit) -> LinearHypothesis:
         """Return a fit as input for `noise`, corrected for the roughness of the drawn surface.

@@ -12,7 +12,7 @@ from palpate.workers.diagnosis.settings.state_correlation import StateCorrelatio
 class NoiseSettings:
     """Settings of segmentation errors in addition to the given noise."""
 
-    # [gap-opened2] Power of the likelihood; see `workers.diagnosis.noise.evidence`. On 37 bodies
+    # [gap-opened2] Power of the evidence; see `workers.diagnosis.noise.evidence`. On 37 bodies
     # solved by FEBio, false second causes gain 3 to 11 nats, false alarms 6 to 19, and true second
     # causes 49 to 176.
     coarsening: float = 0.3

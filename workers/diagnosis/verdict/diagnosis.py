@@ -187,7 +187,8 @@ def weigh(
 ) -> tuple[Hypothesis, ...]:
     """Return the evidence for every hypothesis, from its joint fit or else from the linear model.
 
-    For joint fits, it includes the form error; see `workers.diagnosis.screening.form_error`.
+    For joint fits, it includes the form error; see `workers.diagnosis.screening.form_error`. It is
+    coarsened; see `workers.diagnosis.noise.evidence`.
     """
     nominal = analysis.hypothesis(analysis.nominal)
     joint = JointEvidence(nominal, analysis.sensitivities, analysis.noise)
@@ -195,7 +196,7 @@ def weigh(
     weighed = [joint.hypothesis(())]
     weighed += [joint.hypothesis(effects) for effects in alone if effects not in joint_fits]
     weighed += [_weighed(analysis, names, fitted) for names, fitted in joint_fits.items()]
-    return tuple(weighed)
+    return tuple(one.coarsened(analysis.inverse.coarsening) for one in weighed)
 
 
 def _weighed(analysis: NominalAnalysis, names: tuple[str, ...], fitted: JointFit) -> Hypothesis:

@@ -63,6 +63,15 @@ class Hypothesis:
                 "converge."
             )
 
+    def coarsened(self, power: float) -> "Hypothesis":
+        """Return the hypothesis with its evidence raised to a power."""
+        gain = self.discrepancy_gain
+        return dataclasses.replace(
+            self,
+            log_evidence=power * self.log_evidence,
+            discrepancy_gain=None if gain is None else power * gain,
+        )
+
     @property
     def best(self) -> float:
         """Log evidence, with the field if that increases it."""

@@ -118,4 +118,5 @@ def _extended(analysis: NominalAnalysis, known: Catalogue, fitted: JointFit) -> 
 def _is_unexplained(analysis: NominalAnalysis, best: JointFit) -> bool:
     """Return True if a smooth field explains the residuals of the best single effect."""
     gain = analysis.noise.field_gain(analysis.hypothesis(best.fit))
-    return gain is not None and gain > SETTINGS.joint_fits.left_over
+    least = SETTINGS.joint_fits.left_over / analysis.inverse.coarsening
+    return gain is not None and gain > least

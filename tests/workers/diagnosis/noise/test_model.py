@@ -189,7 +189,7 @@ def test_evidence_is_averaged_over_noise_states(zeta: float):
         _, log_determinant = np.linalg.slogdet(drawn_alone)
         factor = (log_determinant - parts.size * np.log(zeta) - zeta * log_determinant) / 2
         logs.append(dense_log_density(there) - constant_of(there) + factor + state.log_weight)
-    found = NoiseModel(parts, states, coarsening=zeta).log_evidence(hypothesis_of(problem))
+    found = NoiseModel(parts, states).coarsened(zeta).log_evidence(hypothesis_of(problem))
     assert found == pytest.approx(logsumexp(logs), abs=1e-8)
 
 

@@ -56,6 +56,7 @@ def analysis_of(nominal):
         inverse=SimpleNamespace(is_place=np.ones(len(nominal.at), bool)),
         hidden=set(),
         noise=noise,
+        coarse_noise=noise,
         fields=[factor @ columns for columns in fields],
         hypothesis=lambda at: at.hypothesis,
         errors_of_form=lambda at: np.zeros((len(at.residual), 0)),

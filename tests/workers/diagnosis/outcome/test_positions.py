@@ -26,7 +26,7 @@ def test_stiffness_intervals_include_the_difference_between_solvers(
     free = (FreeConstant("E", 0.001, 0.1), FreeConstant("b", 0.1, 10.0, NUMBER))
     fit: Any = SimpleNamespace(unknowns=SimpleNamespace(free=free), z=np.log([0.010, 2.1]))
     inverse = SimpleNamespace(is_segmented=segmented)
-    analysis = SimpleNamespace(noise=None, hypothesis=lambda fit: None, inverse=inverse)
+    analysis = SimpleNamespace(coarse_noise=None, hypothesis=lambda fit: None, inverse=inverse)
     diagnosis: Any = SimpleNamespace(analysis=analysis)
     found = summarise._intervals(diagnosis, fit)
     reach = np.exp(1.6449 * np.hypot(0.02, between))
@@ -46,7 +46,7 @@ def test_position_is_the_offset_from_the_middle_of_the_body(
     monkeypatch.setattr(summarise, "parameter_posterior", lambda *_: posterior)
     fit = SimpleNamespace(unknowns=SimpleNamespace(names=tuple(fitted)))
     analysis = SimpleNamespace(
-        noise=None,
+        coarse_noise=None,
         hypothesis=lambda fit: None,
         inverse=SimpleNamespace(frame=SimpleNamespace(centre_mm=CENTRE_MM)),
         screening_by_name={effect.name: SimpleNamespace(estimate=())},

@@ -9,7 +9,14 @@ import pytest
 from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
 from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
 from palpate.workers.diagnosis.screening.screening import ScreeningResult
-from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis, advance, diagnose, unfitted
+from palpate.workers.diagnosis.verdict.diagnosis import (
+    Diagnosis,
+    advance,
+    diagnose,
+    unfitted,
+    weigh,
+)
+from palpate.workers.diagnosis.verdict.hypotheses import Hypothesis
 from palpate.workers.diagnosis.verdict.suspects import pairs, suspects, triples
 from palpate.workers.organs.breast.effects import CATALOGUE
 
@@ -154,6 +161,26 @@ def test_three_effects_extend_the_best_two(supported) -> None:
     (found,) = triples(*supported, FITS)
     assert [one.name for one in found] == ["plate_tilt", "growth", "skin_added"]
     assert triples(*supported, [joint_fit("growth", 90.0), *FITS]) == []
+
+
+@pytest.mark.parametrize("zeta", [1.0, 0.3])
+def test_every_nat_of_evidence_counts_zeta(monkeypatch, zeta: float) -> None:
+    evidence = {(): Hypothesis((), -90.0, 20.0), ("growth",): Hypothesis(("growth",), -40.0)}
+    monkeypatch.setattr(
+        "palpate.workers.diagnosis.verdict.diagnosis.JointEvidence",
+        lambda *_: SimpleNamespace(hypothesis=evidence.__getitem__),
+    )
+    analysis: Any = SimpleNamespace(
+        hypothesis=lambda fit: None,
+        nominal=None,
+        noise=None,
+        sensitivities=[sensitivity("growth", 1.0, 1.0)],
+        inverse=SimpleNamespace(coarsening=zeta),
+    )
+    nothing, growth = weigh(analysis, {})
+    assert growth.log_evidence - nothing.log_evidence == pytest.approx(50 * zeta)
+    assert nothing.discrepancy_gain == pytest.approx(20 * zeta)
+    assert growth.discrepancy_gain is None
 
 
 def test_supported_hidden_effects_are_fitted():

@@ -14,7 +14,7 @@ HEADINGS = ("name", "known interval", "neutral", "description")
 
 
 def parameters(
-    organ: Annotated[str, typer.Option(help="Organ: breast or cornea.")] = "breast",
+    organ: Annotated[str, typer.Option(help="Name of an organ, such as cornea.")] = "breast",
     effects: Annotated[
         bool, typer.Option("--effects", help="List only effects, and explain each.")
     ] = False,

@@ -22,12 +22,12 @@ def keys_page() -> str:
     """Return the keys of every kind of file as Markdown."""
     from palpate.service.study.spec import study_of
     from palpate.workers.organs.plugin import resolve
+    from palpate.workers.organs.registry import organ_names
     from palpate.workers.organs.source_registry import file_keys
 
     models = {name: resolve(keys) for name, keys in file_keys().items()}
     files = (
-        ("A study of a breast", study_of("breast")),
-        ("A study of a cornea", study_of("cornea")),
+        *((f"A study of a {name}", study_of(name)) for name in organ_names()),
         ("A diagnosis of scans", models["diagnosis"]),
         ("A bench experiment", models["experiment"]),
     )

@@ -13,6 +13,7 @@ from palpate.testing.claims import claim
 from palpate.workers.organs.organ import CheckingOrgan, DifferentiableOrgan, Organ
 from palpate.workers.organs.organ_spec import OrganSpec
 from palpate.workers.organs.plugin import OrganPlugin, resolve
+from palpate.workers.organs.registry import organ_names, organ_plugin
 from palpate.workers.spec import CaseSpec, validated
 
 REFERENCES = ("spec", "organ", "checks", "findings", "study_source", "effects")
@@ -23,7 +24,8 @@ GAIN = 0.3
 def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str] = ()) -> None:
     """Check the contract of an organ on one case.
 
-    Everything that the plug-in names can be imported; parameters are unique; body and mesh are
+    Everything that the plug-in names can be imported; no other organ has its study kind or a
+    template of its name; parameters are unique; body and mesh are
     stored and loaded unchanged; facts are plain values; solving the same case twice gives the same
     displacement, bit for bit; against itself the deformed body scores better than the undeformed
     one; a fit finds the same displacement as a plain solution, and a Gauss-Newton step with its
@@ -47,6 +49,7 @@ def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str
     organ: Organ[Any, Any, Any] = resolve(plugin.organ)
     name = plugin.name
     claim(organ.name == name, f"The organ is named {organ.name!r}, but its plug-in {name!r}.")
+    _check_names(plugin)
     stated: OrganSpec = resolve(plugin.spec)
     spec = validated(stated.case, {"organ": name, **case}, "The case")
     claim(spec.organ == name, f"A case of {name} has the organ {spec.organ!r}.")
@@ -77,6 +80,17 @@ def _check_references(plugin: OrganPlugin) -> None:
         bool(plugin.study_kind) == bool(plugin.study_source),
         f"{plugin.name} needs both study_kind and study_source, or neither.",
     )
+
+
+def _check_names(plugin: OrganPlugin) -> None:
+    for name in organ_names():
+        other = organ_plugin(name)
+        if name == plugin.name:
+            continue
+        kind = plugin.study_kind
+        claim(not kind or kind != other.study_kind, f"{name} has the study kind {kind!r}, too.")
+        shared = sorted(plugin.templates.keys() & other.templates.keys())
+        claim(not shared, f"{name} has a template {', '.join(shared)}, too.")
 
 
 def _check_store(organ: Organ[Any, Any, Any], body: Any, mesh: Any) -> None:

@@ -71,7 +71,7 @@ class Strategy:
         Whether it starts at coarser resolutions if the study names none.
     settings : tuple of str
         The keys under ``search`` that it uses in addition to ``parameters`` and ``strategy``;
-        a warning lists others. Default empty: it may use any key.
+        a warning lists others. Default: `stop`, which ends any search.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Strategy:
     most_generations: Callable[[SearchRequest], int]
     by_derivatives: bool = False
     coarse_first: bool = False
-    settings: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ("stop",)
 
 
 def strategy_named(name: str) -> Strategy:

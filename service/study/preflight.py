@@ -155,7 +155,7 @@ def _idle_settings(spec: StudySpec) -> Iterator[Finding]:
     idle = [
         name
         for name in type(search).model_fields
-        if used and name in search.model_fields_set - {"parameters", "strategy", *used}
+        if name in search.model_fields_set - {"parameters", "strategy", *used}
     ]
     if idle:
         yield Finding(

@@ -1,4 +1,4 @@
-"""`palpate.testing` accepts the built-ins and names the errors of ten broken plug-ins."""
+"""`palpate.testing` accepts the built-ins and names the errors of broken plug-ins."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -205,6 +205,16 @@ BROKEN: dict[str, tuple[Callable[[], None], str]] = {
             BREAST_CASE,
         ),
         "breast.checks: No module named",
+    ),
+    "an organ with the study kind of another": (
+        lambda: check_organ(
+            replace(CORNEA_PLUGIN, study_kind=BREAST_PLUGIN.study_kind), CORNEA_CASE
+        ),
+        "breast has the study kind 'breast study', too",
+    ),
+    "an organ with a template of another": (
+        lambda: check_organ(replace(CORNEA_PLUGIN, templates=BREAST_PLUGIN.templates), CORNEA_CASE),
+        "breast has a template breast.*, too",
     ),
 }
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from palpate.service.export import export_volume
+from palpate.service.search.strategies import GENETIC, Strategy
 from palpate.service.study import preflight as preflight_module
 from palpate.service.study.preflight import preflight
 from palpate.service.study.spec import StudySpec, parse_spec
@@ -321,6 +322,15 @@ def test_warns_of_settings_that_the_strategy_ignores(
     said = [text for text in texts if "does not use" in text]
     assert len(said) == (idle is not None)
     assert idle is None or f"does not use {idle}." in said[0]
+
+
+def test_a_strategy_uses_only_the_settings_it_lists(tmp_path: Path, monkeypatch) -> None:
+    given = GENETIC.make, GENETIC.most_evaluations, GENETIC.most_generations
+    plain = Strategy("plain", *given)
+    monkeypatch.setattr("palpate.service.study.preflight.strategy_named", lambda name: plain)
+    spec = drawn("population: 12", "population: 12, elite: 2")
+    (said,) = [f.text for f in preflight(spec, tmp_path / "store") if "does not use" in f.text]
+    assert "does not use population and elite. It uses stop." in said
 
 
 def test_rejects_too_many_least_squares_evaluations(tmp_path: Path) -> None:

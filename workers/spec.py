@@ -72,8 +72,9 @@ LawName = Annotated[str, AfterValidator(lambda name: checked_name("laws", name))
 class Door(BaseModel):
     """Frozen record that refuses unknown keys; an empty key counts as missing.
 
-    Exactly one key of each group in `exactly_one` must be given. Older files lack the
-    `later_keys`: they are not written at their defaults, so that digests stay the same.
+    Exactly one key of each group in `exactly_one` must be given. The
+    `later_keys` are newer than some stored studies: they are omitted at their default values, so
+    that the digests of those studies stay the same.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -24,8 +24,8 @@ GAIN = 0.3
 def check_organ(plugin: OrganPlugin, case: Mapping[str, Any], free: Sequence[str] = ()) -> None:
     """Check the contract of an organ on one case.
 
-    Everything that the plug-in names can be imported; no other organ has its study kind or a
-    template of its name; parameters are unique; body and mesh are
+    Everything that the plug-in names can be imported; no other organ uses its study kind or the
+    names of its templates; parameters are unique; body and mesh are
     stored and loaded unchanged; facts are plain values; solving the same case twice gives the same
     displacement, bit for bit; against itself the deformed body scores better than the undeformed
     one; a fit finds the same displacement as a plain solution, and a Gauss-Newton step with its
@@ -88,9 +88,9 @@ def _check_names(plugin: OrganPlugin) -> None:
         if name == plugin.name:
             continue
         kind = plugin.study_kind
-        claim(not kind or kind != other.study_kind, f"{name} has the study kind {kind!r}, too.")
+        claim(not kind or kind != other.study_kind, f"{name} already uses the study kind {kind!r}.")
         shared = sorted(plugin.templates.keys() & other.templates.keys())
-        claim(not shared, f"{name} has a template {', '.join(shared)}, too.")
+        claim(not shared, f"{name} already has a template named {', '.join(shared)}.")
 
 
 def _check_store(organ: Organ[Any, Any, Any], body: Any, mesh: Any) -> None:

@@ -1,4 +1,4 @@
-"""Progress of a diagnosis or plan on standard error: a line a step, and one every ten seconds."""
+"""Progress of a diagnosis or plan on standard error, with a line at least every ten seconds."""
 
 import threading
 import time

@@ -10,8 +10,8 @@ class Step:
 
     Parameters
     ----------
-    phase : {"preparation", "calibration", "effects", "weighing", "reading", "refits"}
-        Or "loads", for a plan.
+    phase : {"preparation", "calibration", "effects", "weighing", "reading", "refits", "loads"}
+        A plan has only "loads".
     done, of : int
         Completed tasks of the phase, and all of them; 0 when it begins.
     task : str

@@ -71,7 +71,7 @@ class Strategy:
         Whether it starts at coarser resolutions if the study names none.
     settings : tuple of str
         The keys under ``search`` that it uses in addition to ``parameters`` and ``strategy``;
-        a warning lists others. Default: `stop`, which ends any search.
+        a warning lists others. Default: `stop`, which applies to every search.
     """
 
     name: str

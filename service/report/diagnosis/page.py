@@ -268,8 +268,8 @@ def _about_evidence(summary: Summary) -> str:
         times = 1.0 / math.sqrt(SETTINGS.noise.coarsening)
         noise_mm = times * summary.gap_mm.noise_floor
         alone += (
-            " No model is exact, so evidence counts "
-            f"{100 * SETTINGS.noise.coarsening:.0f} %, and intervals are those of noise "
+            f" No model is exact, so log evidence is multiplied by {SETTINGS.noise.coarsening:g}, "
+            "and intervals are computed as if the noise were "
             f"{times:.1f} times as large ({length(noise_mm)} mm at a point)."
         )
     share = summary.explained_share

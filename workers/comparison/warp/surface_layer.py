@@ -67,7 +67,7 @@ def close_layer(
     """
     gives_way = np.zeros(256, np.bool_)
     gives_way[list(under)] = True
-    # Marked before any is replaced, so that the order of the elements does not matter.
+    # Few voxels are at the surface, and elements without any are skipped.
     at_surface = np.zeros(labels.shape, np.bool_)
     blocks = np.zeros([-(-size // BLOCK) for size in labels.shape], np.bool_)
     _mark_surface(labels, gives_way, at_surface, blocks)
@@ -120,9 +120,9 @@ def _mark_surface(
     marked: NDArray[np.bool_],
     blocks: NDArray[np.bool_],
 ) -> None:
-    """Mark voxels next to air whose labels may be replaced, and their blocks.
+    """Mark voxels next to air whose labels may be replaced, and the blocks that contain them.
 
-    Air is around the volume.
+    Outside the volume is air.
     """
     nz, ny, nx = labels.shape
     for z in range(nz):

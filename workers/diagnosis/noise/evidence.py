@@ -9,8 +9,8 @@ evidence to the same power,
 .. math:: p(h | d) \propto p(h) \left( \int p(d | \theta, h) \, p(\theta | h) \, d\theta
     \right)^\zeta,
 
-so that the price of each parameter is scaled as its gain is. With zeta inside the integral, causes
-of many parameters, such as a lump, would need several times the gain of others.
+so that the penalty for each parameter is scaled together with the gain from it. With zeta inside
+the integral, effects with many parameters, such as an inclusion, would be penalised too strongly.
 
 The given covariance is block-diagonal in the interfaces. One Cholesky factor for each correlation
 length whitens everything; scales, the numerical error and a smooth field only add systems as large

@@ -41,7 +41,7 @@ Labels = Annotated[dict[int | str, str] | str | None, BeforeValidator(label_map)
 class PhantomSpec(Door):
     """A generated breast: a preset with changed settings, and a seed.
 
-    The settings are those of `workers.body.phantom.settings.BreastPhantom`.
+    See `workers.body.phantom.settings.BreastPhantom` for what each setting does.
 
     Parameters
     ----------

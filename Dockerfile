@@ -15,9 +15,6 @@ RUN python -c "import tomllib; p = tomllib.load(open('pyproject.toml', 'rb'))['p
     && pip install --no-cache-dir --disable-pip-version-check -c constraints.txt -r requirements.txt
 
 COPY README.md LICENSE ./
-COPY storage/ storage/
-COPY workers/ workers/
-COPY service/ service/
 COPY palpate/ palpate/
 RUN pip install --no-cache-dir --disable-pip-version-check --no-deps .
 

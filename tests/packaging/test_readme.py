@@ -24,7 +24,6 @@ BLOCK = re.compile(
     r"(?:<!-- (?P<mark>[^>]+) -->\n)?```sh\n(?P<text>.*?)^```", re.DOTALL | re.MULTILINE
 )
 LIMIT_S = 1500
-PACKAGES = ("palpate", "service", "workers", "storage", "tests")
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     for name in listed.stdout.decode().split("\0"):
         source = ROOT / name
-        if name and source.is_file() and name.split("/")[0] not in PACKAGES:
+        if name and source.is_file() and name.split("/")[0] not in ("palpate", "tests"):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(source, folder / name)
     return folder

@@ -13,9 +13,9 @@ def test_template_and_style_are_included_in_the_wheel() -> None:
         Path(file.distribution_path)
         for file in wheel.WheelBuilder(str(ROOT)).recurse_included_files()
     }
-    folder = Path("service/report/page")
+    folder = Path("palpate/service/report/page")
     needed = {"study.html.j2", "macros.html.j2", "report.css", "template.py"}
     scripts = {path.name for path in (ROOT / folder / "scripts").glob("*.js")}
     assert {"common.js", "slices.js", "body.js", "charts.js", "downloads.js", "page.js"} == scripts
-    assert {"palpate" / folder / name for name in needed} <= packed
-    assert {"palpate" / folder / "scripts" / name for name in scripts} <= packed
+    assert {folder / name for name in needed} <= packed
+    assert {folder / "scripts" / name for name in scripts} <= packed

@@ -12,6 +12,9 @@ below, which glibc reads when a process starts.
 
 import os
 
+if __name__ != "palpate.workers":
+    raise ImportError("Import palpate.workers: a checkout's folder workers is a link to it.")
+
 WORKER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",

@@ -1,1 +1,0 @@
-"""Files that must survive a crash."""

@@ -6,6 +6,7 @@
 #   make coverage    the lines that the quick tests run; compiled kernels and processes count less
 #   make test-slow   the tests that take minutes or run at full scale
 #   make test-robustness   bad files, attacks over HTTP, kills: some 20 minutes
+#   make counts      files, lines, imports and shared names of the package
 #   make bench       figures: how long things take here
 #   make docs        the pages of docs/ as a site in site/, without a network
 #   make lint        style, types and import rules alone
@@ -21,7 +22,7 @@ READY := $(VENV)/.ready
 PYTHON ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help demo quick test coverage test-slow test-robustness bench docs kernels-breast kernels-others lint format constraints clean
+.PHONY: help demo quick test coverage test-slow test-robustness counts bench docs kernels-breast kernels-others lint format constraints clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -31,8 +32,8 @@ demo: $(READY)
 	$(BIN)/palpate report runs/demo
 
 # Files that take most of the time of their folders.
-LONG := workers/body/mesh/adaptive workers/body/mesh/test_real_breast.py \
-	workers/comparison/mammogram/test_exposure.py \
+LONG := workers/body/mesh/test_adaptive_mesh.py workers/body/mesh/test_real_breast.py \
+	workers/comparison/test_exposure.py \
 	workers/comparison/observation/test_gap_open.py workers/comparison/observation/test_noise.py
 
 quick: lint
@@ -50,6 +51,9 @@ test-slow: $(READY)
 
 test-robustness: $(READY)
 	$(BIN)/python -W ignore -m tests.robustness.run --seed 1
+
+counts: $(READY)
+	@$(BIN)/python -m tests.counts
 
 bench: $(READY)
 	$(BIN)/palpate bench --nodes 5000,20000,90000 --spacing 1,0.5,0.2

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 
-from palpate.workers.key_descriptions import key_descriptions
+from palpate.workers.file_keys import key_descriptions
 
 HEAD = """# Keys of the files
 
@@ -20,9 +20,8 @@ files; `palpate schema` prints them as JSON schema. A key that is not listed is 
 
 def keys_page() -> str:
     """Return the keys of every kind of file as Markdown."""
-    from palpate.service.study.spec import study_of
-    from palpate.workers.organs.plugin import resolve
-    from palpate.workers.organs.registry import organ_names
+    from palpate.service.study.study_keys import study_of
+    from palpate.workers.organs.organ_plugins import organ_names, resolve
     from palpate.workers.organs.source_registry import file_keys
 
     models = {name: resolve(keys) for name, keys in file_keys().items()}

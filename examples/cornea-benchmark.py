@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import typer
 
-from palpate import study_spec
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
-from palpate.service.results.read import study_results
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.service.results.results_from_journal import study_results
 from palpate.service.study.loop import Study
-from palpate.workers.organs.cornea.solver.cohort import TABLE_5_1, TABLE_5_2
-from palpate.workers.organs.registry import organ_named, organ_spec
+from palpate.study import study_spec
+from palpate.workers.organs.organ_plugins import organ_named, organ_spec
+from palpate.workers.thesis.thesis_eyes import TABLE_5_1, TABLE_5_2
 
 CASE: dict[str, Any] = {"organ": "cornea", "mesh": {"elements": 960}}
 REPEATS = 5

@@ -70,22 +70,21 @@ if TYPE_CHECKING:
     from typing import Any
 
     from palpate.client import Job, Service, connect
-    from palpate.comparison import Comparison, compare
     from palpate.cornea import Cornea, CorneaSimulation
     from palpate.diagnosis import Diagnosis, diagnose
     from palpate.forward import Breast
     from palpate.results import StudyResults
-    from palpate.search import Search
-    from palpate.service.batch.evaluations import Evaluations
-    from palpate.service.errors import ClusterError, GenerationCrashError, TaskError
-    from palpate.service.forward.sheet_simulation import SheetSimulation
-    from palpate.service.forward.simulation import Simulation
-    from palpate.service.remote.client import JobEvent
-    from palpate.service.results.record import ParameterEstimate
-    from palpate.service.results.samples import Samples
-    from palpate.service.server.api import ClusterView, JobView
-    from palpate.service.study.observers.hooks import Observer, StopSearch
-    from palpate.service.study.spec import StudySpec
+    from palpate.search import Search, parameters
+    from palpate.service.errors_and_interrupts import ClusterError, GenerationCrashError, TaskError
+    from palpate.service.remote_client import JobEvent
+    from palpate.service.results.posterior_samples import Samples
+    from palpate.service.results.result_records import ParameterEstimate
+    from palpate.service.server.api_models import ClusterView, JobView
+    from palpate.service.simulation.body_simulation import Simulation
+    from palpate.service.simulation.candidate_tables import Evaluations
+    from palpate.service.simulation.sheet_simulation import SheetSimulation
+    from palpate.service.study.study_events import Observer, StopSearch
+    from palpate.service.study.study_keys import StudySpec
     from palpate.specimen import Specimen
     from palpate.storage.errors import (
         InputError,
@@ -95,10 +94,9 @@ if TYPE_CHECKING:
         StoreError,
     )
     from palpate.storage.values import Tissue
-    from palpate.study import Study, study_spec
-    from palpate.vocabulary import parameters
+    from palpate.study import Comparison, Study, compare, study_spec
     from palpate.volumes import Volume, phantom, read_volume, write_volume
-    from palpate.workers.mechanics.parameters import Parameter
+    from palpate.workers.mechanics.model_parameters import Parameter
 
     __version__: str
 
@@ -108,14 +106,14 @@ _HOMES = {
     "Diagnosis": "palpate.diagnosis",
     "diagnose": "palpate.diagnosis",
     "Breast": "palpate.forward",
-    "Simulation": "palpate.service.forward.simulation",
-    "SheetSimulation": "palpate.service.forward.sheet_simulation",
+    "Simulation": "palpate.service.simulation.body_simulation",
+    "SheetSimulation": "palpate.service.simulation.sheet_simulation",
     "Cornea": "palpate.cornea",
     "CorneaSimulation": "palpate.cornea",
-    "parameters": "palpate.vocabulary",
-    "Comparison": "palpate.comparison",
-    "compare": "palpate.comparison",
-    "Evaluations": "palpate.service.batch.evaluations",
+    "parameters": "palpate.search",
+    "Comparison": "palpate.study",
+    "compare": "palpate.study",
+    "Evaluations": "palpate.service.simulation.candidate_tables",
     "Job": "palpate.client",
     "Service": "palpate.client",
     "connect": "palpate.client",
@@ -126,26 +124,26 @@ _HOMES = {
     "read_volume": "palpate.volumes",
     "write_volume": "palpate.volumes",
     "Search": "palpate.search",
-    "StopSearch": "palpate.service.study.observers.hooks",
+    "StopSearch": "palpate.service.study.study_events",
     "StudyResults": "palpate.results",
     "Volume": "palpate.volumes",
-    "Observer": "palpate.service.study.observers.hooks",
-    "ParameterEstimate": "palpate.service.results.record",
-    "Samples": "palpate.service.results.samples",
-    "StudySpec": "palpate.service.study.spec",
-    "ClusterView": "palpate.service.server.api",
-    "JobView": "palpate.service.server.api",
-    "JobEvent": "palpate.service.remote.client",
-    "Parameter": "palpate.workers.mechanics.parameters",
+    "Observer": "palpate.service.study.study_events",
+    "ParameterEstimate": "palpate.service.results.result_records",
+    "Samples": "palpate.service.results.posterior_samples",
+    "StudySpec": "palpate.service.study.study_keys",
+    "ClusterView": "palpate.service.server.api_models",
+    "JobView": "palpate.service.server.api_models",
+    "JobEvent": "palpate.service.remote_client",
+    "Parameter": "palpate.workers.mechanics.model_parameters",
     "Tissue": "palpate.storage.values",
     "InputError": "palpate.storage.errors",
     "JournalError": "palpate.storage.errors",
     "NewerSchemaError": "palpate.storage.errors",
     "PalpateError": "palpate.storage.errors",
     "StoreError": "palpate.storage.errors",
-    "ClusterError": "palpate.service.errors",
-    "GenerationCrashError": "palpate.service.errors",
-    "TaskError": "palpate.service.errors",
+    "ClusterError": "palpate.service.errors_and_interrupts",
+    "GenerationCrashError": "palpate.service.errors_and_interrupts",
+    "TaskError": "palpate.service.errors_and_interrupts",
 }
 
 __all__ = [
@@ -197,7 +195,7 @@ __all__ = [
 def __getattr__(name: str) -> "Any":
     import_module("palpate.service")  # one thread a process, set before NumPy loads
     if name == "__version__":
-        return import_module("palpate.service.versions").palpate_version()
+        return import_module("palpate.service.installed_packages").palpate_version()
     if name not in _HOMES:
         raise AttributeError(f"module 'palpate' has no attribute {name!r}")
     return getattr(import_module(_HOMES[name]), name)

@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
 
-from palpate.service.extras import frame_type
-from palpate.service.remote.client import Client, JobEvent
-from palpate.service.remote.uploads import with_uploaded_images
-from palpate.service.server.api import ClusterView, JobView
-from palpate.service.study.spec import StudySpec
+from palpate.service.installed_packages import frame_type
+from palpate.service.remote_client import Client, JobEvent, with_uploaded_images
+from palpate.service.server.api_models import ClusterView, JobView
+from palpate.service.study.study_keys import StudySpec
 from palpate.storage.errors import InputError
-from palpate.storage.plain import to_number
+from palpate.storage.json_digests import to_number
 
 if TYPE_CHECKING:
     from pandas import DataFrame

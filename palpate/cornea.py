@@ -6,12 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from palpate.service.forward.case_keys import case_from_keys, stated_constants
-from palpate.service.forward.organ_model import OrganModel
+from palpate.service.simulation.organ_simulation import OrganModel, case_from_keys, stated_constants
 from palpate.storage.values import FloatArray, IntArray
-from palpate.workers.organs.cornea.forward import LoadedCornea
-from palpate.workers.organs.cornea.section.outline import Section
-from palpate.workers.organs.cornea.solver.outcome import CorneaOutcome
+from palpate.workers.organs.cornea.cornea_forward import LoadedCornea
+from palpate.workers.organs.cornea.prestressed_equilibrium import CorneaOutcome
+from palpate.workers.organs.cornea.section_outline import Section
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -5,21 +5,21 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from palpate.service.diagnosis.dask_observer import run_and_tell
-from palpate.service.diagnosis.run import (
+from palpate.service.diagnosis.diagnosis_run import (
     FinishedDiagnosis,
     finished,
     request_for,
+    run_and_tell,
     with_caveats,
 )
-from palpate.service.diagnosis.words import sentence
-from palpate.service.errors import Interrupted
-from palpate.service.report.diagnosis.page import render
-from palpate.service.report.notebook import diagnosis_html
-from palpate.service.study.session import session
-from palpate.storage.backends.atomic import write_file
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.tasks.sources import check_source, open_source, source_caveats
+from palpate.service.diagnosis.diagnosis_words import sentence
+from palpate.service.errors_and_interrupts import Interrupted
+from palpate.service.report.diagnosis.diagnosis_page import render_diagnosis
+from palpate.service.report.notebook_html import diagnosis_html
+from palpate.service.study.study_session import session
+from palpate.storage.backends.atomic_files import write_file
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.tasks.diagnosis_sources import check_source, open_source, source_caveats
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,8 +39,8 @@ class Diagnosis(FinishedDiagnosis):
     def plot_gap(self) -> "Figure":
         """Plot the gap with and without the named effects, and the residuals of all points."""
         # These load matplotlib, which is rarely needed.
-        from palpate.service.report.diagnosis.figures import gap_figure
-        from palpate.service.report.drawing.canvas import on_white
+        from palpate.service.report.drawing.matplotlib_figures import on_white
+        from palpate.service.report.notebook_figures import gap_figure
 
         return on_white(gap_figure(self))
 
@@ -106,14 +106,16 @@ def diagnose(
     for finding in findings:
         warnings.warn(finding.text, stacklevel=2)
     request = request_for(opened, store, nodes, effects=effects)
-    found = finished(request)
-    if found is None:
+    diagnosis = finished(request)
+    if diagnosis is None:
         try:
             with session(scheduler, workers) as at_hand:
-                found = run_and_tell(request, at_hand.dispatcher, Path(source), lambda step: None)
+                diagnosis = run_and_tell(
+                    request, at_hand.dispatcher, Path(source), lambda step: None
+                )
         except Interrupted:
             raise KeyboardInterrupt from None
-    found = with_caveats(found, source_caveats(opened, findings))
+    diagnosis = with_caveats(diagnosis, source_caveats(opened, findings))
     if page is not None:
-        write_file(Path(page), render(found).encode())
-    return Diagnosis(found.summary, found.maps, found.scans)
+        write_file(Path(page), render_diagnosis(diagnosis).encode())
+    return Diagnosis(diagnosis.summary, diagnosis.maps, diagnosis.scans)

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from palpate.service.forward.case_keys import case_from_keys
-from palpate.service.forward.organ_model import OrganModel
-from palpate.service.forward.simulation import Simulation
+from palpate.service.simulation.body_simulation import Simulation
+from palpate.service.simulation.organ_simulation import OrganModel, case_from_keys
 from palpate.storage import values
 from palpate.volumes import Volume
 

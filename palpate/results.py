@@ -5,18 +5,18 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
 
-from palpate.service.extras import frame_type
-from palpate.service.report.notebook import results_html
-from palpate.service.report.study.posterior import posterior_figure
-from palpate.service.results import record
-from palpate.service.results.columns import (
+from palpate.service.installed_packages import frame_type
+from palpate.service.report.notebook_html import results_html
+from palpate.service.report.study.study_charts import posterior_figure
+from palpate.service.results import result_records
+from palpate.service.results.posterior_samples import Samples, draw_samples
+from palpate.service.results.results_as_json import (
     estimate_columns,
     evaluation_columns,
     generation_columns,
 )
-from palpate.service.results.read import study_results
-from palpate.service.results.samples import Samples, draw_samples
-from palpate.service.study.log import read_study
+from palpate.service.results.results_from_journal import study_results
+from palpate.service.study.study_folder import read_study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,7 +26,7 @@ Table = Literal["evaluations", "generations", "estimates"]
 ViewName = Literal["coronal", "transverse", "sagittal"]
 
 
-class StudyResults(record.StudyResults):
+class StudyResults(result_records.StudyResults):
     """The results of a study so far.
 
     The most important attributes, each described in its own class:
@@ -109,8 +109,8 @@ class StudyResults(record.StudyResults):
     def plot_convergence(self) -> "Figure":
         """Plot the score of every evaluation and the best score so far."""
         # These load matplotlib, which is rarely needed.
-        from palpate.service.report.drawing.canvas import on_white
-        from palpate.service.report.study.figures import convergence_figure
+        from palpate.service.report.drawing.matplotlib_figures import on_white
+        from palpate.service.report.notebook_figures import convergence_figure
 
         _, log = read_study(self.folder)
         return on_white(convergence_figure(self, log.endings))
@@ -128,7 +128,7 @@ class StudyResults(record.StudyResults):
         InputError
             If a constant is unknown or has no interval, with the reason.
         """
-        from palpate.service.report.drawing.canvas import on_white
+        from palpate.service.report.drawing.matplotlib_figures import on_white
 
         return on_white(posterior_figure(self, constants))
 
@@ -147,8 +147,8 @@ class StudyResults(record.StudyResults):
         InputError
             If the store has none of the volumes.
         """
-        from palpate.service.report.drawing.canvas import on_white
-        from palpate.service.report.study.figures import slices_figure
+        from palpate.service.report.drawing.matplotlib_figures import on_white
+        from palpate.service.report.notebook_figures import slices_figure
 
         return on_white(slices_figure(self.folder, view))
 

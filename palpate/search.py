@@ -1,15 +1,32 @@
-"""An ask-and-tell interface to the search strategies."""
+"""What a study can hold fixed or search, and an ask-and-tell interface to the strategies."""
 
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from palpate.service.search.base import Generation, Proposal, Stopped
-from palpate.service.search.least_squares import FittedNames
-from palpate.service.search.spec import SearchSpec
-from palpate.service.search.strategies import SearchRequest, strategy_named
+from palpate.service.search.least_squares_search import FittedNames
+from palpate.service.search.search_interface import Generation, Proposal, Stopped
+from palpate.service.search.search_keys import SearchRequest, SearchSpec, strategy_named
 from palpate.storage.errors import InputError
-from palpate.workers.spec import validated
+from palpate.workers.common_keys import validated
+from palpate.workers.mechanics.model_parameters import Parameter
+from palpate.workers.organs.organ_plugins import DEFAULT, organ_spec
+
+
+def parameters(organ: str = DEFAULT) -> dict[str, Parameter]:
+    """Return the parameters of an organ's model by their names in a study, units included.
+
+    Parameters
+    ----------
+    organ : str
+        Name of the organ, such as ``"breast"``.
+
+    Raises
+    ------
+    InputError
+        If the organ is unknown.
+    """
+    return {parameter.door_name: parameter for parameter in organ_spec(organ).parameters}
 
 
 class Search:

@@ -7,25 +7,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from palpate.service.cluster.foreign_workers import prepare_workers
-from palpate.service.forward.case_keys import stated_in
-from palpate.service.forward.sheet_simulation import LoadedSheet, SheetSimulation
-from palpate.service.forward.simulation import MeshedBody, Simulation
+from palpate.service.cluster.worker_failures import prepare_workers
+from palpate.service.simulation.body_simulation import MeshedBody, Simulation
+from palpate.service.simulation.organ_simulation import stated_in
+from palpate.service.simulation.sheet_simulation import LoadedSheet, SheetSimulation
 from palpate.storage import values
-from palpate.storage.digest import digest
 from palpate.storage.errors import InputError
-from palpate.storage.records.evaluations import load_evaluation, save_evaluation
-from palpate.storage.records.tasks import EvaluationResult
-from palpate.storage.stores.fields import load_field, save_field
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
-from palpate.workers.mechanics.parameters import Parameter, Vocabulary, unknown_name
-from palpate.workers.organs.specimen.keys.loads import LoadsSpec
-from palpate.workers.organs.specimen.problem import free_constants, problem_of
-from palpate.workers.organs.specimen.sheet.body import body_of
-from palpate.workers.organs.specimen.spec import SpecimenSpec, read_spec
+from palpate.storage.json_digests import digest
+from palpate.storage.store import load_evaluation, save_evaluation
+from palpate.storage.stored_arrays import load_field, save_field
+from palpate.storage.values import EvaluationResult
+from palpate.workers.common_keys import validated
+from palpate.workers.mechanics.fem.boundary_value_problem import Problem
+from palpate.workers.mechanics.model_parameters import Parameter, Vocabulary, unknown_name
+from palpate.workers.organs.specimen.specimen_body import body_of
+from palpate.workers.organs.specimen.specimen_keys import LoadsSpec, SpecimenSpec, read_spec
+from palpate.workers.organs.specimen.specimen_problem import free_constants, problem_of
 from palpate.workers.organs.specimen.voxelised_mesh import body_of_file
 from palpate.workers.resources import worker_name
-from palpate.workers.spec import validated
 from palpate.workers.tasks.code_version import code_version
 from palpate.workers.tasks.diagnosis_store import plugged_modules
 from palpate.workers.tasks.pipeline import Watch
@@ -38,10 +37,10 @@ __all__ = ["Specimen"]
 
 # Code that a simulation depends on: statement, mesh and solution of the problem.
 _PHYSICS = (
-    "palpate.workers.organs.specimen.problem",
-    "palpate.workers.organs.specimen.sheet.body",
-    "palpate.workers.mechanics.fem.elements.model",
-    "palpate.workers.mechanics.fem.equilibrium.solve",
+    "palpate.workers.organs.specimen.specimen_problem",
+    "palpate.workers.organs.specimen.specimen_body",
+    "palpate.workers.mechanics.fem.discretisation",
+    "palpate.workers.mechanics.fem.body_equilibrium",
 )
 
 
@@ -138,16 +137,16 @@ class Specimen:
 
 
 def _loads_of(spec: Any, state: str) -> LoadsSpec:
-    for one in (*spec.states, *spec.predict):
-        if one.name == state:
-            if any(move.measured for move in one.moves):
+    for loads in (*spec.states, *spec.predict):
+        if loads.name == state:
+            if any(move.measured for move in loads.moves):
                 raise InputError(
                     f"A region of the state {state} has a measured motion: choose a state "
                     "whose moves all give displacement_mm."
                 )
-            found: LoadsSpec = one
-            return found
-    names = tuple(one.name for one in (*spec.states, *spec.predict))
+            chosen: LoadsSpec = loads
+            return chosen
+    names = tuple(loads.name for loads in (*spec.states, *spec.predict))
     raise InputError(unknown_name("state", state, names))
 
 
@@ -225,16 +224,16 @@ def _simulate_stored(
     made = kept.cached(("specimen", digest(spec, voxels, nodes)), bench)
     watch = Watch()
     with watch.stage("solve"):
-        found = made.loaded(_loads_of(made.spec, state)).simulate(stated)
+        simulation = made.loaded(_loads_of(made.spec, state)).simulate(stated)
     result: EvaluationResult = {
         "digest": name,
-        "status": "done" if found.converged else "diverged",
-        "reason": found.reason,
-        "outcome": dict(found.outcome),
+        "status": "done" if simulation.converged else "diverged",
+        "reason": simulation.reason,
+        "outcome": dict(simulation.outcome),
         "constants": dict(stated),
         "seconds": dict(watch.seconds),
         "worker": worker_name(),
     }
-    save_field(kept.store, name, found.displacement_mm)
+    save_field(kept.store, name, simulation.displacement_mm)
     save_evaluation(kept.store, name, result)
     return load_evaluation(kept.store, name) or result

@@ -1,4 +1,4 @@
-"""Studies: created from files or mappings, run on a cluster, read as arrays and tables."""
+"""Studies: created from files or mappings, run on a cluster, read as arrays, compared."""
 
 import warnings
 from collections.abc import Iterable, Mapping
@@ -11,26 +11,28 @@ from numpy.typing import NDArray
 
 from palpate.diagnosis import Diagnosis, diagnose
 from palpate.results import StudyResults
-from palpate.service.batch.evaluations import Evaluations
-from palpate.service.batch.progress import BatchProgress
-from palpate.service.batch.run import evaluate_batch, plan_batch
-from palpate.service.errors import Interrupted
-from palpate.service.report.notebook import spec_html
-from palpate.service.report.study.data import read_study_data
-from palpate.service.report.study.page import write_report
-from palpate.service.results.columns import evaluation_columns
+from palpate.service.errors_and_interrupts import Interrupted
+from palpate.service.installed_packages import frame_type
+from palpate.service.report.notebook_html import comparison_html, spec_html
+from palpate.service.report.study.comparison_page import write_comparison
+from palpate.service.report.study.study_data import read_study_data
+from palpate.service.report.study.study_page import write_report
+from palpate.service.results.results_as_json import evaluation_columns
+from palpate.service.results.study_comparison import StudyComparison, compare_studies
 from palpate.service.run_study import Entrance, run_study
-from palpate.service.search.designs import design_columns
-from palpate.service.study.log import read_study
+from palpate.service.search.space_filling import design_columns
+from palpate.service.simulation.candidate_batch import BatchProgress, evaluate_batch, plan_batch
+from palpate.service.simulation.candidate_tables import Evaluations
 from palpate.service.study.loop import Study as StudyLoop
-from palpate.service.study.observers.hooks import Observer
-from palpate.service.study.observers.progress import progress_observer
-from palpate.service.study.session import chosen_session
-from palpate.service.study.spec import StudySpec, read_spec
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.study.study_events import Observer
+from palpate.service.study.study_folder import read_study
+from palpate.service.study.study_keys import StudySpec, read_spec
+from palpate.service.study.study_progress import progress_observer
+from palpate.service.study.study_session import chosen_session
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError
 from palpate.volumes import Volume
-from palpate.workers.spec import validated
+from palpate.workers.common_keys import validated
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -306,3 +308,59 @@ class Study:
         if StudyLayout(self.folder).journal.is_file():
             return self.results._repr_html_()
         return str(spec_html(self.spec, f"not started; its folder will be {self.folder}"))
+
+
+class Comparison(StudyComparison):
+    """A comparison of studies; see `compare`.
+
+    - ``studies``: for each study, its ``label``, ``results`` (see `StudyResults`) and
+      ``lowest_scores``, the lowest score after 1, 2, 3 ... evaluations,
+    - ``settings``: the keys of the study file that differ, with their values in every study,
+    - ``as_dict()`` and ``as_csv()``: the record and the table of ``palpate compare``.
+    """
+
+    @classmethod
+    def of(cls, found: StudyComparison) -> Self:
+        """Convert a comparison to this class, which notebooks can display."""
+        return cls(found.studies, found.settings, found.axis)
+
+    def to_frame(self) -> "DataFrame":
+        """Return a pandas table: one row for each constant and score of each study.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        made: DataFrame = frame_type()(list(self.rows()))
+        return made
+
+    def write_page(self, path: str | Path) -> Path:
+        """Write an HTML page with charts and return its path."""
+        return write_comparison(self, Path(path))
+
+    def __repr__(self) -> str:
+        labels = ", ".join(study.label for study in self.studies)
+        return f"<Comparison of {len(self.studies)} studies: {labels}"[:498] + ">"
+
+    def _repr_html_(self) -> str:
+        return str(comparison_html(self))
+
+
+def compare(*studies: Study | str | Path) -> Comparison:
+    """Compare the results and settings of several studies.
+
+    Parameters
+    ----------
+    *studies : Study, str or Path
+        At least two studies or their folders; some may still be running.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two studies, one is given twice, or a folder is not a study.
+    JournalError
+        If a journal is damaged.
+    """
+    folders = [Path(s.folder) if isinstance(s, Study) else Path(s) for s in studies]
+    return Comparison.of(compare_studies(folders))

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any, Self
 
 from palpate.service.export import VOLUME_SUFFIXES, check_suffix, export_volume
-from palpate.service.forward.case_keys import case_from_keys
-from palpate.service.report.notebook import volume_html
+from palpate.service.report.notebook_html import volume_html
+from palpate.service.simulation.organ_simulation import case_from_keys
 from palpate.storage import values
-from palpate.workers.body.images import read
-from palpate.workers.organs.registry import DEFAULT, organ_named
+from palpate.workers.body.images import image_formats
+from palpate.workers.organs.organ_plugins import DEFAULT, organ_named
 
 
 class Volume(values.Volume):
@@ -82,7 +82,7 @@ def read_volume(
     InputError
         If it cannot be read or understood.
     """
-    return Volume.of(read.read_volume(Path(path), spacing_mm=spacing_mm, axes=axes))
+    return Volume.of(image_formats.read_volume_file(Path(path), spacing_mm=spacing_mm, axes=axes))
 
 
 def phantom(preset: str = "445ml", seed: int = 1, **settings: Any) -> Volume:

@@ -9,13 +9,14 @@ import tempfile
 from pathlib import Path
 
 import palpate
-from palpate.workers.blind.load_stepping import solve_scene
-from palpate.workers.blind.meshed_body import body_of
+from palpate.workers.blind.case_body import body_of
 from palpate.workers.blind.random_case import draw
-from palpate.workers.blind.solver.system import topology_of
-from palpate.workers.body.mesh.adaptive.mesher import adaptive_mesh
-from palpate.workers.body.mesh.adaptive.sizing import Sizes
-from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
+from palpate.workers.blind.scene_solution import solve_scene
+from palpate.workers.blind.solver.plate_equilibrium import topology_of
+from palpate.workers.body.mesh.adaptive_lattice import Sizes
+from palpate.workers.body.mesh.adaptive_mesher import adaptive_mesh
+from palpate.workers.body.phantom.phantom_generation import generate_breast
+from palpate.workers.body.phantom.phantom_settings import BreastPhantom
 
 STUDY = {
     "name": "kernels",

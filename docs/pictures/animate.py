@@ -22,15 +22,14 @@ from PIL import Image, ImageDraw, ImageFont
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from palpate.service.export.solved_body import solve_body  # noqa: E402
-from palpate.service.report.drawing.colour_scale import SIGNED, ColourScale  # noqa: E402
-from palpate.service.report.drawing.triangle_raster import NONE, front_triangles  # noqa: E402
-from palpate.service.report.study.data import read_study_data  # noqa: E402
-from palpate.service.report.study.surfaces import study_surfaces  # noqa: E402
-from palpate.service.study.log import read_study  # noqa: E402
-from palpate.service.study.spec import read_spec  # noqa: E402
-from palpate.storage.backends.layout import StudyLayout  # noqa: E402
-from palpate.storage.records.record import EvaluationRecord  # noqa: E402
+from palpate.service.export.solved_mesh_files import solve_body  # noqa: E402
+from palpate.service.report.drawing.colours import SIGNED, ColourScale  # noqa: E402
+from palpate.service.report.drawing.raster import NO_TRIANGLE, front_triangles  # noqa: E402
+from palpate.service.report.study.study_data import read_study_data, study_surfaces  # noqa: E402
+from palpate.service.study.study_folder import read_study  # noqa: E402
+from palpate.service.study.study_keys import read_spec  # noqa: E402
+from palpate.storage.backends.store_paths import StudyLayout  # noqa: E402
+from palpate.storage.journal_records import EvaluationRecord  # noqa: E402
 from palpate.storage.values import FloatArray, IntArray  # noqa: E402
 
 WIDTH, HEIGHT, SMOOTH = 720, 400, 2
@@ -117,7 +116,7 @@ def draw(picture: Frame, everything: list[Frame]) -> Image.Image:
     colours[~np.isfinite(colours).all(axis=1)] = (0.80, 0.78, 0.74)
     shaded = np.clip(colours * light[:, None], 0, 1)
     pixels = np.full((high, wide, 3), 255, np.uint8)
-    inside = seen != NONE
+    inside = seen != NO_TRIANGLE
     pixels[inside] = np.rint(255 * shaded[seen[inside]]).astype(np.uint8)
     image = Image.fromarray(pixels[::-1])
     pen = ImageDraw.Draw(image)

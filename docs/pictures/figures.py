@@ -19,10 +19,10 @@ from scipy.spatial import cKDTree
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from palpate.service.export.solved_body import SolvedBody, solve_body  # noqa: E402
-from palpate.service.study.log import read_study  # noqa: E402
-from palpate.service.study.spec import read_spec  # noqa: E402
-from palpate.storage.backends.layout import StudyLayout  # noqa: E402
+from palpate.service.export.solved_mesh_files import SolvedBody, solve_body  # noqa: E402
+from palpate.service.study.study_folder import read_study  # noqa: E402
+from palpate.service.study.study_keys import read_spec  # noqa: E402
+from palpate.storage.backends.store_paths import StudyLayout  # noqa: E402
 from palpate.storage.values import Volume  # noqa: E402
 
 INK, BLUE, ORANGE = "#333333", "#0072b2", "#c44e00"

@@ -19,15 +19,18 @@ from typing import Any
 import numpy as np
 import typer
 
-from palpate import StudySpec, study_spec
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
-from palpate.service.results.read import study_results
-from palpate.service.results.record import StudyResults
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.service.results.result_records import StudyResults
+from palpate.service.results.results_from_journal import study_results
 from palpate.service.study.loop import Study
+from palpate.service.study.study_keys import StudySpec
 from palpate.storage.errors import InputError
-from palpate.storage.stores.store import open_store
-from palpate.workers.organs.cornea.solver.cohort import (
+from palpate.storage.store import open_store
+from palpate.study import study_spec
+from palpate.workers.organs.organ_plugins import organ_named, organ_spec
+from palpate.workers.organs.organ_protocol import Scores
+from palpate.workers.thesis.thesis_eyes import (
     AVERAGE_CORNEA_JC,
     AVERAGE_CORNEA_MHD_UM,
     PRINTED_AVERAGE,
@@ -35,8 +38,6 @@ from palpate.workers.organs.cornea.solver.cohort import (
     CohortEye,
     OgdenConstants,
 )
-from palpate.workers.organs.organ import Scores
-from palpate.workers.organs.registry import organ_named, organ_spec
 
 # A cornea is thicker at the limbus; the table prints the centre alone.
 THICKER_AT_LIMBUS_MM = 0.105

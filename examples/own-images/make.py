@@ -16,10 +16,10 @@ from pathlib import Path
 import nrrd
 import numpy as np
 
-from palpate import Volume, read_volume
+from palpate.volumes import Volume, read_volume
+from palpate.workers.blind.breast_scene import Anatomy, Constants
+from palpate.workers.blind.case_files import write_case
 from palpate.workers.blind.random_case import Load, Truth
-from palpate.workers.blind.scene import Anatomy, Constants
-from palpate.workers.blind.write_case import write_case
 
 HERE = Path(__file__).parent
 FORCE_N = 35.0

@@ -14,9 +14,14 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.commands.lazy_group import LazyCommand, lazy_group, list_commands
-from palpate.service.commands.settings import remember_command
-from palpate.service.commands.verbosity import Level, set_verbosity
+from palpate.service.commands.command_line import (
+    LazyCommand,
+    Level,
+    lazy_group,
+    list_commands,
+    remember_command,
+    set_verbosity,
+)
 from palpate.storage.errors import PalpateError
 
 USERS_FAULT = 2
@@ -59,12 +64,14 @@ COMMANDS = {
     "profile": LazyCommand(
         "studies.profile:profile", "Show how well the image is fitted as one constant varies."
     ),
-    "open": LazyCommand("open_:open_", "Open a study's page in the browser and print its path."),
+    "open": LazyCommand(
+        "studies.open_:open_", "Open a study's page in the browser and print its path."
+    ),
     "diagnose": LazyCommand(
-        "diagnoses.diagnose:diagnose", "Find where and why a simulation differs from the real body."
+        "studies.diagnose:diagnose", "Find where and why a simulation differs from the real body."
     ),
     "plan": LazyCommand(
-        "diagnoses.plan:plan", "Predict which causes of a gap the scans could reveal."
+        "studies.plan:plan", "Predict which causes of a gap the scans could reveal."
     ),
     "import": LazyCommand(
         "images.import_:import_image", "Import a labelled image and show how it was read."
@@ -105,7 +112,7 @@ COMMANDS = {
         "validation.bench:bench", "Measure the time and memory of each stage of a simulation."
     ),
     "strategies": LazyCommand(
-        "studies.strategies:strategies",
+        "validation.strategies:strategies",
         "Compare the cost of search strategies on the same targets.",
     ),
     "blind": LazyCommand(
@@ -131,7 +138,7 @@ app = typer.Typer(
 def _print_version(requested: bool) -> None:
     if requested:
         # Loads numpy, which `palpate --help` does without.
-        from palpate.service.versions import palpate_version
+        from palpate.service.installed_packages import palpate_version
 
         typer.echo(f"palpate {palpate_version()}")
         raise typer.Exit

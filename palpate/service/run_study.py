@@ -10,15 +10,15 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from palpate.service.cluster.dispatch import TaskRunner
-from palpate.service.errors import GenerationCrashError, Interrupted
-from palpate.service.report.study.page import write_report
+from palpate.service.cluster.task_dispatch import TaskRunner
+from palpate.service.errors_and_interrupts import GenerationCrashError, Interrupted
+from palpate.service.report.study.study_page import write_report
 from palpate.service.study.loop import Conclusion, Study
-from palpate.service.study.observers.run_log import logging_to
 from palpate.service.study.preflight import preflight, preflight_task
-from palpate.service.study.session import Session
+from palpate.service.study.study_events import logging_to
+from palpate.service.study.study_session import Session
 from palpate.storage.errors import PalpateError
-from palpate.workers.organs.study_checks import Finding, caveats_of
+from palpate.workers.organs.plausibility_rule import Finding, caveats_of
 
 _log = logging.getLogger(__name__)
 
@@ -109,10 +109,10 @@ def _checked_run(
 ) -> Conclusion:
     to_check = not study.begun
     if to_check and not entrance.on_a_worker:
-        found = preflight(
+        findings = preflight(
             study.spec, study.store, anyway=entrance.anyway, elsewhere=entrance.elsewhere
         )
-        _pass_on(found, study, entrance)
+        _pass_on(findings, study, entrance)
     with entrance.shown, opened as session:
         if to_check and entrance.on_a_worker:
             asked = study.spec.as_dict(), str(study.store), entrance.anyway

@@ -8,10 +8,9 @@ Call them from a test of the plug-in's own distribution::
         check_effect(SWELLING)
 """
 
-from palpate.testing.effects import check_effect
-from palpate.testing.laws import check_law
-from palpate.testing.organs import check_organ
-from palpate.testing.scores import check_score
-from palpate.testing.searches import check_search
+from palpate.testing.effect_checks import check_effect
+from palpate.testing.law_checks import check_law
+from palpate.testing.organ_checks import check_organ
+from palpate.testing.search_checks import check_score, check_search
 
 __all__ = ["check_effect", "check_law", "check_organ", "check_score", "check_search"]

@@ -16,7 +16,7 @@ from importlib.metadata import entry_points
 from typing import Any, Literal, get_args
 
 from palpate.storage.errors import InputError
-from palpate.workers.mechanics.parameters import unknown_name
+from palpate.workers.mechanics.model_parameters import unknown_name
 
 Group = Literal["organs", "effects", "laws", "scores", "searches", "sources", "exporters"]
 OWN = "palpate"
@@ -79,16 +79,16 @@ def plugins(group: Group) -> dict[str, Plugin]:
     InputError
         If two distributions provide the same name.
     """
-    found: dict[str, Plugin] = {}
+    by_name: dict[str, Plugin] = {}
     for plugin in sorted(_installed(group), key=lambda p: (not p.is_own, p.name)):
-        other = found.get(plugin.name)
+        other = by_name.get(plugin.name)
         if other is not None and other != plugin:
             raise InputError(
                 f"The name {plugin.name!r} ({group}) is provided by {other.distribution} and by "
                 f"{plugin.distribution}. Remove one of them."
             )
-        found[plugin.name] = plugin
-    return found
+        by_name[plugin.name] = plugin
+    return by_name
 
 
 def plugin(group: Group, name: str) -> Plugin:

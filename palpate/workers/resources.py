@@ -156,7 +156,7 @@ def _parts(item: object) -> Iterable[object]:
     if isinstance(item, MethodType):
         return (item.__self__,)
     # Lazily computed values are not fields.
-    found = list(vars(item).values()) if hasattr(item, "__dict__") else []
+    parts = list(vars(item).values()) if hasattr(item, "__dict__") else []
     if is_dataclass(item):
-        found += [getattr(item, field.name) for field in fields(item)]
-    return found
+        parts += [getattr(item, field.name) for field in fields(item)]
+    return parts

@@ -9,12 +9,12 @@ bodies of 20000 nodes take some five minutes of one core.
 import argparse
 import time
 
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium
-from palpate.workers.organs.breast.organ import ORGAN
-from palpate.workers.organs.breast.problem import extent_of
-from palpate.workers.organs.breast.spec import BreastCase
-from palpate.workers.spec import validated
+from palpate.workers.common_keys import validated
+from palpate.workers.mechanics.fem.body_equilibrium import equilibrium
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.organs.breast.breast_keys import BreastCase
+from palpate.workers.organs.breast.breast_organ import ORGAN
+from palpate.workers.organs.breast.breast_problem import extent_of
 
 FORCE_N, SPACING_MM, E_FAT_MPA = 100.0, 1.0, 0.005
 

@@ -26,19 +26,18 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from PIL import Image  # noqa: E402
 
-from palpate.service.cluster.single_process import SingleProcess  # noqa: E402
-from palpate.service.results.as_json import study_json  # noqa: E402
-from palpate.service.results.read import study_results  # noqa: E402
+from palpate.service.cluster.task_dispatch import SingleProcess  # noqa: E402
+from palpate.service.results.results_as_json import study_json  # noqa: E402
+from palpate.service.results.results_from_journal import study_results  # noqa: E402
 from palpate.service.study.loop import Study  # noqa: E402
-from palpate.service.study.spec import StudySpec  # noqa: E402
-from palpate.workers.organs.cornea.comparison.identifiability import uniaxial_stress_mpa  # noqa: E402
-from palpate.workers.organs.cornea.material.constants import CorneaConstants  # noqa: E402
-from palpate.workers.organs.cornea.organ import ORGAN  # noqa: E402
-from palpate.workers.organs.cornea.section.outline import Section  # noqa: E402
-from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion  # noqa: E402
-from palpate.workers.organs.cornea.solver.cohort import TABLE_5_2, CohortEye  # noqa: E402
-from palpate.workers.organs.cornea.spec import CorneaCase  # noqa: E402
-from palpate.workers.spec import validated  # noqa: E402
+from palpate.service.study.study_keys import StudySpec  # noqa: E402
+from palpate.workers.common_keys import validated  # noqa: E402
+from palpate.workers.organs.cornea.cornea_keys import CorneaCase  # noqa: E402
+from palpate.workers.organs.cornea.cornea_organ import ORGAN  # noqa: E402
+from palpate.workers.organs.cornea.corneal_model import CorneaConstants  # noqa: E402
+from palpate.workers.organs.cornea.identifiability import uniaxial_stress_mpa  # noqa: E402
+from palpate.workers.organs.cornea.section_outline import RigidMotion, Section  # noqa: E402
+from palpate.workers.thesis.thesis_eyes import TABLE_5_2, CohortEye  # noqa: E402
 from tests.workers.organs.cornea.frames.generated_frame import generated_frame  # noqa: E402
 
 ELEMENTS, TARGET_ELEMENTS, JET_KPA = 960, 5760, 15.0

@@ -27,14 +27,17 @@ sys.path.append(str(ROOMS / "reference"))
 import numpy as np  # noqa: E402
 
 from palpate.storage.values import Tissue  # noqa: E402
-from palpate.workers.body.mesh.hierarchy import MeshLevel  # noqa: E402
-from palpate.workers.mechanics.fem.elements.model import Model, prepare  # noqa: E402
-from palpate.workers.mechanics.fem.equilibrium.solve import solve  # noqa: E402
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem  # noqa: E402
-from palpate.workers.mechanics.fem.problem.loads import DistanceControl, Wall  # noqa: E402
-from palpate.workers.mechanics.fem.problem.outcome import Solution  # noqa: E402
-from palpate.workers.organs.breast.organ import ORGAN  # noqa: E402
-from palpate.workers.organs.breast.spec import BreastCase  # noqa: E402
+from palpate.workers.body.mesh.mesh_hierarchy import MeshLevel  # noqa: E402
+from palpate.workers.mechanics.fem.body_equilibrium import solve  # noqa: E402
+from palpate.workers.mechanics.fem.boundary_value_problem import (  # noqa: E402
+    Constants,
+    Problem,
+    Solution,
+)
+from palpate.workers.mechanics.fem.discretisation import Model, prepare  # noqa: E402
+from palpate.workers.mechanics.fem.loads_and_regions import DistanceControl, Wall  # noqa: E402
+from palpate.workers.organs.breast.breast_keys import BreastCase  # noqa: E402
+from palpate.workers.organs.breast.breast_organ import ORGAN  # noqa: E402
 from tests.reference.calculix import Answer, Body, Held, Material, available  # noqa: E402
 from tests.reference.calculix import solve as calculix  # noqa: E402
 

@@ -26,17 +26,17 @@ for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import numpy as np  # noqa: E402
 from scipy.spatial.transform import Rotation  # noqa: E402
 
-from palpate.service.cluster.single_process import SingleProcess  # noqa: E402
+from palpate.service.cluster.task_dispatch import SingleProcess  # noqa: E402
 from palpate.service.export import export_volume  # noqa: E402
-from palpate.service.results.as_json import study_json  # noqa: E402
-from palpate.service.results.read import study_results  # noqa: E402
+from palpate.service.results.results_as_json import study_json  # noqa: E402
+from palpate.service.results.results_from_journal import study_results  # noqa: E402
 from palpate.service.study.loop import Study  # noqa: E402
-from palpate.service.study.spec import StudySpec  # noqa: E402
-from palpate.storage.stores.store import open_store  # noqa: E402
-from palpate.storage.stores.volumes import load_volume  # noqa: E402
+from palpate.service.study.study_keys import StudySpec  # noqa: E402
+from palpate.storage.store import open_store  # noqa: E402
+from palpate.storage.stored_arrays import load_volume  # noqa: E402
 from palpate.storage.values import Tissue, Volume  # noqa: E402
-from palpate.workers.spec import validated  # noqa: E402
-from palpate.workers.tasks.evaluation import simulate_once  # noqa: E402
+from palpate.workers.common_keys import validated  # noqa: E402
+from palpate.workers.tasks.study_tasks import simulate_once  # noqa: E402
 
 SPACING_MM, NODES, TARGET_NODES, FORCE_N = 2.0, 2_000, 14_000, 60.0
 SEARCHED = {

@@ -6,9 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from palpate.service.search.base import Generation, Proposal
-from palpate.service.search.genetic import GeneticSearch, GeneticSettings
-from palpate.service.search.space import Space
+from palpate.service.search.genetic_search import GeneticSearch, GeneticSettings
+from palpate.service.search.search_interface import Generation, Proposal, Space
 
 SPACE = Space.from_bounds({f"E_{index}_kpa": (5, 80) for index in range(5)})
 

@@ -11,13 +11,16 @@ import argparse
 import json
 from pathlib import Path
 
-from palpate.service.thesis.estimate import RECORDED, kind_of, recorded_here
-from palpate.service.thesis.experiments import EXPERIMENTS, phases_of
-from palpate.service.thesis.run import ThesisRequest
-from palpate.service.thesis.search import POLISHED, run_search
-from palpate.workers.tasks.thesis.coefficients import bend_bar
-from palpate.workers.tasks.thesis.meshes import Press
-from palpate.workers.thesis.scale import Scale
+from palpate.service.thesis.remaining_time import RECORDED, kind_of, recorded_here
+from palpate.service.thesis.thesis_experiments import (
+    EXPERIMENTS,
+    POLISHED,
+    ThesisRequest,
+    phases_of,
+    run_search,
+)
+from palpate.workers.tasks.thesis_tasks import Press, bend_bar
+from palpate.workers.thesis.phantom_compression import Scale
 
 # In the middle of the ten; a denser phantom has a larger adaptive mesh.
 PHANTOM = 6
@@ -40,8 +43,8 @@ def run_one_of_each(request: ThesisRequest, searches: bool) -> None:
                 print(one.label, phase.task(one), flush=True)  # noqa: T201
                 ran.add(one.kind)
     if searches:
-        from palpate.service.cluster.dispatch import Dispatcher
-        from palpate.service.cluster.open import open_cluster
+        from palpate.service.cluster.dask_cluster import open_cluster
+        from palpate.service.cluster.task_dispatch import Dispatcher
 
         with open_cluster(None, 1) as cluster:
             for run in request.searches:

@@ -8,7 +8,8 @@ import yaml
 
 from palpate.service.templates import template
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
+from palpate.workers.body.phantom.phantom_generation import generate_breast
+from palpate.workers.body.phantom.phantom_settings import BreastPhantom
 
 SMALL = BreastPhantom(
     lower_mm=30.0,

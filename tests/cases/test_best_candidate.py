@@ -10,29 +10,29 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from palpate.service.cluster.dask_rows import IdleTime, StudyRow
+from palpate.service.cluster.dask_dashboard import IdleTime, StudyRow
 from palpate.service.commands.studies.report import print_report
-from palpate.service.results.as_json import study_json
-from palpate.service.results.read import candidate_results, study_results
-from palpate.service.search.base import Generation
-from palpate.service.server.live.job_progress import JobProgress
-from palpate.service.study.log import read_study
-from palpate.service.study.observers.dask_records import DaskRecords
-from palpate.service.study.observers.hooks import StudyFacts
-from palpate.service.study.observers.progress import PlainProgress
-from palpate.storage.backends.layout import StudyLayout
-from palpate.storage.records.best_candidate import (
+from palpate.service.results.results_as_json import study_json
+from palpate.service.results.results_from_journal import candidate_results, study_results
+from palpate.service.search.search_interface import Generation
+from palpate.service.server.job_progress import JobProgress
+from palpate.service.study.study_events import StudyFacts
+from palpate.service.study.study_folder import read_study
+from palpate.service.study.study_progress import PlainProgress
+from palpate.service.study.study_session import DaskRecords
+from palpate.storage.backends.store_paths import StudyLayout
+from palpate.storage.journal import Journal
+from palpate.storage.journal_records import (
     BestSoFar,
+    EvaluationRecord,
+    Status,
     best_of,
     best_searched,
     best_so_far,
     rank_of,
     rank_of_line,
 )
-from palpate.storage.records.journal import Journal
-from palpate.storage.records.record import EvaluationRecord
-from palpate.storage.records.status import Status
-from palpate.workers.tasks import studies as studies_module
+from palpate.workers.tasks import diagnosis_sources as studies_module
 from tests.recovery.stand_ins import Inline, run, small_spec
 
 LEAST_SQUARES = """

@@ -8,16 +8,16 @@ import pytest
 from fastapi import APIRouter, FastAPI
 from pydantic import BaseModel
 
-from palpate.service.blind.sealed.seal import read_json
-from palpate.service.server.http import app, job_routes, watch_routes
-from palpate.service.server.http.strict_json import StrictRoute
-from palpate.service.server.jobs.yaml import parsed_text
-from palpate.service.study.spec import parse_spec
+from palpate.service.blind.sealed_set import read_json
+from palpate.service.server.http import http_server, job_routes, live_page_routes
+from palpate.service.server.http.request_checks import StrictRoute
+from palpate.service.server.jobs.untrusted_inputs import parsed_text
+from palpate.service.study.study_keys import parse_spec
 from palpate.storage.errors import InputError
-from palpate.workers.documents import parse_json, parse_yaml
-from palpate.workers.organs.breast.case.files import read_case_file
-from palpate.workers.organs.specimen.spec import read_spec
-from palpate.workers.tasks.sources import open_source
+from palpate.workers.input_files import parse_json, parse_yaml
+from palpate.workers.organs.breast.scanned_case_files import read_case_file
+from palpate.workers.organs.specimen.specimen_keys import read_spec
+from palpate.workers.tasks.diagnosis_sources import open_source
 from tests.workers.organs.specimen.experiments import described, write
 
 NESTED_YAML = "loads:\n  - force_n: 18\n    file: a\n    force_n: 36\n"
@@ -119,7 +119,7 @@ def test_request_refuses_a_repeated_key():
 
 
 def test_every_route_with_a_body_is_strict():
-    routers = [job_routes.router, watch_routes.router, app._about()]
+    routers = [job_routes.router, live_page_routes.watch_router, http_server._about()]
     with_body = [r for router in routers for r in router.routes if r.body_field is not None]
     assert len(with_body) >= 3
     assert all(isinstance(route, StrictRoute) for route in with_body)

@@ -8,21 +8,30 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from palpate.service.commands.diagnoses.diagnosing import print_verdict
-from palpate.service.diagnosis.plan_words import amounts
-from palpate.service.diagnosis.words import ADD_UP, bayes_factor, headline, magnitude
-from palpate.service.formatting import number, share
-from palpate.service.report.diagnosis import tables as tables
-from palpate.service.report.diagnosis.tables import parameter_name
-from palpate.storage.records.typed_json import from_json, to_json
-from palpate.workers.diagnosis.schema.plan import ParameterPlan
-from palpate.workers.diagnosis.schema.summary import ParameterEstimate, Summary
-from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.parameters import Parameter
-from palpate.workers.mechanics.readings import ShownMagnitude, shown, shown_change
-from palpate.workers.organs.breast.effects import BREAST_EFFECTS, BREAST_MODEL
-from palpate.workers.organs.cornea.effects import CORNEA_EFFECTS
-from palpate.workers.organs.specimen.effects import specimen_effects
+from palpate.service.commands.studies.diagnosing import print_verdict
+from palpate.service.diagnosis.diagnosis_words import (
+    ADD_UP,
+    bayes_factor,
+    headline,
+    magnitude,
+    planned_amounts,
+)
+from palpate.service.number_formatting import number, share
+from palpate.service.report.diagnosis import diagnosis_tables as tables
+from palpate.service.report.diagnosis.diagnosis_tables import parameter_name
+from palpate.storage.json_digests import from_json, to_json
+from palpate.workers.diagnosis.outcome.diagnosis_summary import ParameterEstimate, Summary
+from palpate.workers.diagnosis.plan_summary import ParameterPlan
+from palpate.workers.mechanics.effects.effect import Effect
+from palpate.workers.mechanics.model_parameters import (
+    Parameter,
+    ShownMagnitude,
+    shown,
+    shown_change,
+)
+from palpate.workers.organs.breast.breast_effects import BREAST_EFFECTS, BREAST_MODEL
+from palpate.workers.organs.cornea.cornea_effects import CORNEA_EFFECTS
+from palpate.workers.organs.specimen.specimen_effects import specimen_effects
 from tests.service.report.diagnosis_at_hand import effect, parameter, summary
 
 DOWN = (0.0, -1.0, 0.0)
@@ -84,10 +93,9 @@ def test_no_parameter_is_shown_as_a_logarithm(name: str) -> None:
 
 
 def test_shown_poisson_ratio_equals_the_applied_one() -> None:
-    from palpate.workers.mechanics.effects.material import COMPRESSIBILITY
-    from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-    from palpate.workers.mechanics.fem.problem.fields import Frame
-    from palpate.workers.mechanics.fem.problem.loads import ForceControl
+    from palpate.workers.mechanics.effects.material_effects import COMPRESSIBILITY
+    from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Frame, Problem
+    from palpate.workers.mechanics.fem.loads_and_regions import ForceControl
 
     problem = Problem({2: Constants(0.01, 0.49)}, ForceControl(10.0, -5.0, 5.0))
     changed = COMPRESSIBILITY.apply(problem, {"ln_compressibility": 1.2}, Frame())
@@ -133,7 +141,7 @@ def test_json_has_displayed_and_fitted_values() -> None:
 
 
 def test_older_records_are_shown_with_a_standard_deviation() -> None:
-    row = tables.effects(
+    row = tables.effect_table(
         from_json(
             Summary,
             summary(
@@ -146,7 +154,7 @@ def test_older_records_are_shown_with_a_standard_deviation() -> None:
 
 
 def test_table_shows_bayes_factors_without_logarithms() -> None:
-    row = tables.effects(from_json(Summary, summary()).effects, ())[0]
+    row = tables.effect_table(from_json(Summary, summary()).effects, ())[0]
     assert row.factor == "> 1000"
     assert [bayes_factor(v) for v in (0.0, 3.0, -3.0)] == ["1.0", "20", "0.050"]
 
@@ -155,7 +163,7 @@ def test_a_plan_shows_the_least_ratio_in_per_cent() -> None:
     one = PARAMETERS["ln_plate_force"]
     least, unit = shown_change(one.reading, math.log(1.13), "")
     plan = ParameterPlan("ln_plate_force", "", math.log(1.13), 0.5, unit, least, 65.0)
-    assert amounts([plan], "minimum") == "13 %"
+    assert planned_amounts([plan], "minimum") == "13 %"
 
 
 @pytest.mark.parametrize(

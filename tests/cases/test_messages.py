@@ -10,14 +10,18 @@ from typing import Any
 
 import pytest
 
-from palpate.service.cluster.foreign_workers import explained_imports, raise_if_foreign
-from palpate.service.cluster.main_guard import is_unguarded
-from palpate.service.cluster.open import open_cluster
-from palpate.service.cluster.task_failures import as_cluster_error, raise_if_store
-from palpate.service.errors import ClusterError
-from palpate.storage.backends.atomic import hint
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.worker_failures import (
+    as_cluster_error,
+    explained_imports,
+    raise_if_foreign,
+    raise_if_store,
+)
+from palpate.service.cluster.worker_startup import is_unguarded
+from palpate.service.errors_and_interrupts import ClusterError
+from palpate.storage.backends.atomic_files import hint
 from palpate.storage.errors import InputError, JournalError, StoreError
-from palpate.storage.records.journal import Journal
+from palpate.storage.journal import Journal
 
 BARE_WORKER = '''
 import sys
@@ -76,7 +80,9 @@ def test_every_form_of_a_missing_palpate_is_recognised(error: Exception) -> None
 @pytest.mark.parametrize(
     "error",
     [
-        ImportError("cannot import name 'find' from 'palpate.workers.tasks.findings' (/opt/w.py)"),
+        ImportError(
+            "cannot import name 'find' from 'palpate.workers.tasks.study_tasks' (/opt/w.py)"
+        ),
         AttributeError(
             "Can't get attribute 'find' on <module 'palpate.workers.tasks' from '/opt'>"
         ),
@@ -108,7 +114,8 @@ def test_other_worker_errors_are_unchanged() -> None:
 def test_rejects_a_script_without_a_main_guard(tmp_path: Path) -> None:
     script = tmp_path / "fit.py"
     script.write_text(
-        "from palpate.service.cluster.main_guard import check_main_guard\n\ncheck_main_guard()\n"
+        "from palpate.service.cluster.worker_startup import check_main_guard\n\n"
+        "check_main_guard()\n"
     )
     ended = subprocess.run(
         [sys.executable, str(script)], capture_output=True, text=True, check=False

@@ -16,15 +16,14 @@ import palpate
 import palpate.diagnosis
 import palpate.study
 from palpate.service.cli import main
-from palpate.service.commands.interrupts import INTERRUPTED, interruptible
-from palpate.service.errors import GenerationCrashError, Interrupted
-from palpate.service.interrupts import stop_requests
+from palpate.service.commands.command_line import INTERRUPTED, interruptible
+from palpate.service.errors_and_interrupts import GenerationCrashError, Interrupted, stop_requests
 from palpate.service.run_study import Entrance, run_study
-from palpate.service.server.jobs.study_job import run_job, study_request
-from palpate.service.study import session as session_module
+from palpate.service.server.jobs.study_and_diagnosis_jobs import run_queued_study, study_request
+from palpate.service.study import study_session as session_module
 from palpate.service.study.loop import Study
-from palpate.service.study.session import Session, session
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.study.study_session import Session, session
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError
 from tests.recovery.stand_ins import SPEC, TASKS, Inline, small_spec, told
 
@@ -128,10 +127,10 @@ def test_service_checks_new_studies_unless_overridden(tmp_path: Path) -> None:
     spec = small_spec(IN_PASCAL)
     store, opened = tmp_path / "store", Session(Inline())  # type: ignore[arg-type]
     with pytest.raises(InputError, match="known interval"):
-        run_job(study_request(spec, False), tmp_path / "demo", store, opened, TASKS)
+        run_queued_study(study_request(spec, False), tmp_path / "demo", store, opened, TASKS)
     assert not told(tmp_path / "demo")
     insisting = study_request(spec, False, anyway=True)
-    run_job(insisting, tmp_path / "demo", store, opened, TASKS, reports=False)
+    run_queued_study(insisting, tmp_path / "demo", store, opened, TASKS, reports=False)
     assert len(told(tmp_path / "demo")) > 12
     assert StudyLayout(tmp_path / "demo").log.is_file()
 

@@ -8,23 +8,32 @@ import numpy as np
 import pytest
 
 from palpate.service.commands.studies.report import derived_text
-from palpate.service.diagnosis.quotability import judged_constants, summary_json
-from palpate.service.formatting import NONE
-from palpate.service.report.diagnosis.tables import constants
-from palpate.service.results.as_json import study_json
-from palpate.service.results.error_budget import DECISIVE, MESH, in_words
+from palpate.service.diagnosis.diagnosed_constants import judged_constants, summary_json
+from palpate.service.number_formatting import NONE
+from palpate.service.report.diagnosis.diagnosis_tables import constant_table
 from palpate.service.results.identification import Identification, identification_from_tangents
-from palpate.service.results.local_model import OtherProblems, SearchedConstants
-from palpate.service.results.quotability import derived_estimates, no_better
-from palpate.service.results.quotable import EstimateFacts, quotability
-from palpate.service.results.record import ParameterEstimate, StudyResults
-from palpate.storage.records.tasks import FitJson
-from palpate.storage.records.typed_json import from_json
-from palpate.workers.diagnosis.schema.summary import Summary
-from palpate.workers.mechanics.parameters import BREAST
-from palpate.workers.organs.cornea.findings.doubts import against, derived
-from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.nuisances import Nuisance
+from palpate.service.results.intervals import (
+    DECISIVE,
+    MESH,
+    OtherProblems,
+    SearchedConstants,
+    in_words,
+)
+from palpate.service.results.quotability_rule import EstimateFacts, quotability
+from palpate.service.results.result_records import (
+    ParameterEstimate,
+    StudyResults,
+    derived_estimates,
+    no_better,
+)
+from palpate.service.results.results_as_json import study_json
+from palpate.storage.json_digests import from_json
+from palpate.storage.values import FitJson
+from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
+from palpate.workers.mechanics.model_parameters import BREAST
+from palpate.workers.organs.cornea.constant_doubts import against, derived
+from palpate.workers.organs.cornea.corneal_model import CorneaConstants
+from palpate.workers.organs.organ_protocol import Nuisance
 from tests.service.report.study_data_at_hand import results
 
 GOOD = EstimateFacts(value=10.0, unit="kPa", searched=(5.0, 20.0), interval=(9.5, 10.5))
@@ -364,7 +373,7 @@ def test_a_diagnosis_that_fits_no_better_than_the_body_at_rest_has_no_estimate()
         found = judged_constants(worse)["E_gl_kpa"]
         assert found.answer.quotable is estimated
         assert (found.text == "no estimate") is not estimated
-        shown = [row.before for row in constants(worse)]
+        shown = [row.before for row in constant_table(worse)]
         assert (shown == [NONE]) is not estimated
     reason = "the best fit is no better than the undeformed body"
     assert found.answer.reasons == (reason,)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import palpate
-from palpate.service.report.study.data import read_study_data
-from palpate.service.results.as_json import candidate_json, study_json
-from palpate.service.results.read import candidate_results, study_results
-from palpate.service.search import operators
+from palpate.service.report.study.study_data import read_study_data
+from palpate.service.results.results_as_json import candidate_json, study_json
+from palpate.service.results.results_from_journal import candidate_results, study_results
+from palpate.service.search import genetic_search
 from palpate.service.search.cma_search import CmaSearch
-from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import JournalError
 from tests.recovery.stand_ins import SPEC, Inline, run, small_spec
 
@@ -42,12 +42,12 @@ def test_studies_are_readable_after_a_change_of_the_mutation(
     run(folder, Inline())
     before = everything_of(folder)
 
-    original = operators.AdaptiveFeasible.__call__
+    original = genetic_search.AdaptiveFeasible.__call__
 
     def another_step(*args: Any) -> Any:
         return np.clip(original(*args) * 1.01, 5.0, 20.0)
 
-    monkeypatch.setattr(operators.AdaptiveFeasible, "__call__", another_step)
+    monkeypatch.setattr(genetic_search.AdaptiveFeasible, "__call__", another_step)
     assert everything_of(folder) == before
     journal = StudyLayout(folder).journal
     lines = journal.read_text().splitlines(keepends=True)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.results.read import study_results
-from palpate.storage.stores.store import Store, open_store
-from palpate.storage.stores.volumes import has_volume, named_volumes, save_volume
+from palpate.service.results.results_from_journal import study_results
+from palpate.storage.store import Store, open_store
+from palpate.storage.stored_arrays import has_volume, named_volumes, save_volume
 from palpate.storage.values import Volume
 from tests.recovery.stand_ins import SPEC, Inline, run, small_spec
 

@@ -8,18 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.service.results.as_json import study_json
-from palpate.service.results.read import study_results
-from palpate.service.study.log import StudyLog
-from palpate.storage.backends.layout import StudyLayout
-from palpate.storage.backends.places import place_of
+from palpate.service.results.results_as_json import study_json
+from palpate.service.results.results_from_journal import study_results
+from palpate.service.study.study_folder import StudyLog
+from palpate.storage.backends.store_paths import StudyLayout, place_of
 from palpate.storage.errors import JournalError, NewerSchemaError, StoreError
-from palpate.storage.plain import dumps, loads
-from palpate.storage.records.evaluations import load_evaluation
-from palpate.storage.records.seal import KEY, seal, unseal
-from palpate.storage.stores.arrays import load_arrays, save_arrays
-from palpate.storage.stores.store import Store, open_store
-from palpate.storage.upkeep.check import check_store
+from palpate.storage.json_digests import CHECKSUM_KEY, dumps, loads, seal, unseal
+from palpate.storage.store import Store, load_evaluation, open_store
+from palpate.storage.stored_arrays import load_arrays, save_arrays
+from palpate.storage.upkeep import check_store
 from tests.recovery.stand_ins import Inline, run
 
 FLIPS = 100
@@ -58,7 +55,7 @@ def test_detects_a_flipped_digit_in_the_journal(folder: Path, tmp_path: Path) ->
 def test_detects_a_flipped_digit_in_each_field_of_a_line(folder: Path) -> None:
     line = StudyLayout(folder).journal.read_text().splitlines()[3]
     record = loads(line)
-    assert KEY in record
+    assert CHECKSUM_KEY in record
     for name, value in record.items():
         written = f'"{name}":{dumps(value)}'
         for flipped in flips(written, seed=2, count=5):
@@ -119,7 +116,7 @@ def test_journal_without_checksums_is_readable_and_unverified(folder: Path, tmp_
 
 
 def _as_before(line: dict[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in line.items() if key != KEY}
+    return {key: value for key, value in line.items() if key != CHECKSUM_KEY}
 
 
 def test_checksum_covers_the_text_of_numbers() -> None:

@@ -8,13 +8,13 @@ import pytest
 import yaml
 
 from palpate.service.cli import main
-from palpate.service.study.spec import StudySpec, study_of
+from palpate.service.study.study_keys import StudySpec, study_of
 from palpate.service.templates import template
 from palpate.storage.errors import InputError
-from palpate.workers.missing_keys import description_at
-from palpate.workers.organs.breast.case.spec import CaseFile
-from palpate.workers.organs.specimen.spec import SpecimenSpec
-from palpate.workers.spec import Door, validated
+from palpate.workers.common_keys import Door, validated
+from palpate.workers.file_keys import description_at
+from palpate.workers.organs.breast.scanned_case_keys import CaseFile
+from palpate.workers.organs.specimen.specimen_keys import SpecimenSpec
 from tests.cases.filled_templates import filled, required
 
 Command = Callable[..., tuple[int, str]]

@@ -22,9 +22,9 @@ import dask.config
 import pytest
 import yaml
 
-from palpate.service.cluster import retry
-from palpate.service.cluster.open import CONFIG
-from palpate.service.remote.client import Client
+from palpate.service.cluster import container_retry
+from palpate.service.cluster.dask_cluster import CONFIG
+from palpate.service.remote_client import Client
 from palpate.workers import WORKER_ENVIRONMENT
 
 ROOT = Path(__file__).parents[2]
@@ -187,7 +187,7 @@ def test_every_service_has_limits_and_a_read_only_file_system(compose: dict[str,
 def test_the_driver_runs_an_existing_study(compose: dict[str, Any]) -> None:
     command = compose["services"]["driver"]["command"]
     assert command == [
-        *("python", "-m", "palpate.service.cluster.retry"),
+        *("python", "-m", "palpate.service.cluster.container_retry"),
         *("palpate", "run", "/studies/demo.yaml", "--study", "/data/runs/demo"),
         *("--scheduler", "tcp://scheduler:8786", "--store", "/data/store"),
     ]
@@ -298,7 +298,7 @@ def test_user_errors_are_not_retried_but_other_failures_are(
     compose: dict[str, Any], tmp_path: Path, codes: list[int], started: int, ended: int
 ) -> None:
     assert compose["services"]["driver"]["restart"] == "no"
-    assert retry.main(exits(tmp_path, *codes), pause_s=0.0) == ended
+    assert container_retry.main(exits(tmp_path, *codes), pause_s=0.0) == ended
     assert len((tmp_path / "count").read_text()) == started
 
 

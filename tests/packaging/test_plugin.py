@@ -16,8 +16,8 @@ STUDY = PLUGIN / "study.yaml"
 # Names an evaluation of the study without running it.
 NAME_IT = f"""
 from pathlib import Path
-from palpate.service.study.spec import read_spec
-from palpate.workers.tasks.evaluation import evaluation_digest
+from palpate.service.study.study_keys import read_spec
+from palpate.workers.tasks.study_tasks import evaluation_digest
 spec = read_spec(Path({str(STUDY)!r}))
 case, score = (one.model_dump(mode="json") for one in (spec.case, spec.score))
 for weight in (0.0, 0.3):

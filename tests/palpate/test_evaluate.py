@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import palpate
-from palpate.testing.bodies import small_breast
-from palpate.workers.comparison.similarity.score import Scorer
+from palpate.testing.plugin_claims import small_breast
+from palpate.workers.comparison.similarity_score import Scorer
 
 
 def study_in(folder: Path) -> palpate.Study:

@@ -7,22 +7,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.service.search.base import Proposal, Stopped
-from palpate.service.search.strategies import CMA, GENETIC, LEAST_SQUARES, POLISHED, Strategy
+from palpate.service.search.search_interface import Proposal, Stopped
+from palpate.service.search.search_keys import CMA, GENETIC, LEAST_SQUARES, POLISHED, Strategy
 from palpate.storage.values import FloatArray, Volume
 from palpate.testing import check_effect, check_law, check_organ, check_score, check_search
-from palpate.testing.bodies import plain_problem
-from palpate.workers.comparison.similarity.objective import GSF, HAUSDORFF, JACCARD, Objective
-from palpate.workers.mechanics.effects.boundary import FRICTION, WALL_HOLD
-from palpate.workers.mechanics.effects.loading import GRAVITY_CHANGE
-from palpate.workers.mechanics.effects.material import COMPRESSIBILITY, SKIN_SCALED
-from palpate.workers.mechanics.effects.observation import RIGID_MOTION, SEGMENTATION_OFFSET
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Membrane
+from palpate.testing.plugin_claims import plain_problem
+from palpate.workers.comparison.score_objective import GSF, HAUSDORFF, JACCARD, Objective
+from palpate.workers.mechanics.effects.loading_effects import GRAVITY_CHANGE
+from palpate.workers.mechanics.effects.material_effects import COMPRESSIBILITY, SKIN_SCALED
+from palpate.workers.mechanics.effects.observation_effects import RIGID_MOTION, SEGMENTATION_OFFSET
+from palpate.workers.mechanics.effects.support_effects import FRICTION, WALL_HOLD
+from palpate.workers.mechanics.fem.boundary_value_problem import Membrane
 from palpate.workers.mechanics.materials.fung import Fung
-from palpate.workers.mechanics.materials.mooney_rivlin import MooneyRivlin
-from palpate.workers.mechanics.materials.neo_hookean import NeoHookean
 from palpate.workers.mechanics.materials.ogden import Ogden
-from palpate.workers.mechanics.materials.yeoh import Yeoh
+from palpate.workers.mechanics.materials.polynomial_laws import MooneyRivlin, NeoHookean, Yeoh
 from palpate.workers.organs.breast.plugin import BREAST_PLUGIN
 from palpate.workers.organs.cornea.plugin import CORNEA_PLUGIN
 

@@ -15,15 +15,16 @@ import pytest
 from pydantic import BaseModel
 
 import palpate
-from palpate.workers.diagnosis.schema.experiment_summary import (
+from palpate.workers.diagnosis.outcome.diagnosis_summary import (
     ConfoundedEffect,
+    JointFitSummary,
     MarkerResidual,
     MarkerState,
+    NextAcquisition,
     PredictedPoint,
     PredictedState,
     Reaction,
 )
-from palpate.workers.diagnosis.schema.summary import JointFitSummary, NextAcquisition
 from tests.recovery.stand_ins import Inline, run, small_spec
 from tests.recovery.test_strategies import spec_of
 from tests.service.report.diagnosis_at_hand import VERDICTS, found
@@ -211,9 +212,9 @@ def test_slices_show_all_bodies(folders: Folders, monkeypatch: pytest.MonkeyPatc
     results = palpate.Study.open(folders["fitted"]).results
     with pytest.raises(palpate.InputError, match="no longer in the store"):
         results.plot_slices()
-    from palpate.service.report.study import figures
+    from palpate.service.report import notebook_figures
 
-    monkeypatch.setattr(figures, "read_study_data", lambda *_, **__: study_data())
+    monkeypatch.setattr(notebook_figures, "read_study_data", lambda *_, **__: study_data())
     drawn = results.plot_slices("sagittal")
     titles = [axes.get_title() for axes in drawn.axes]
     assert titles == ["Undeformed", "Target", "Best candidate", "Difference, glandular"]

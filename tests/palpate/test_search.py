@@ -1,6 +1,5 @@
 """`palpate.Search`: the ask-and-tell interface for arbitrary functions."""
 
-import doctest
 import math
 
 import pytest
@@ -22,12 +21,6 @@ def followed(search: palpate.Search) -> list[dict[str, float]]:
         seen += candidates
         search.tell([valley(c) for c in candidates])
     return seen
-
-
-def test_docstring_example_runs() -> None:
-    found = doctest.testmod(palpate.search)
-    assert found.attempted > 0
-    assert found.failed == 0
 
 
 @pytest.mark.parametrize("strategy", ["genetic", "cma"])

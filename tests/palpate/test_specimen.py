@@ -9,8 +9,8 @@ import pytest
 from distributed import Client, LocalCluster
 
 import palpate
-from palpate.workers.body.mesh.boundary import boundary_triangles
-from palpate.workers.organs.specimen.block import lattice
+from palpate.workers.body.mesh.mesh_geometry import boundary_triangles
+from palpate.workers.organs.specimen.block_lattice import lattice
 
 LENGTH, WIDTH, FORCE = 60.0, 20.0, 2.0
 BAR: dict[str, Any] = {

@@ -12,7 +12,7 @@ import pytest
 
 import palpate
 import palpate.study
-from palpate.service.cluster.open import open_cluster
+from palpate.service.cluster.dask_cluster import open_cluster
 from palpate.service.study.loop import Study as StudyLoop
 from tests.recovery.stand_ins import TASKS, assert_each_ran_once, small_spec, told
 
@@ -56,7 +56,7 @@ import palpate.study
 from palpate.service.study.loop import Study as StudyLoop
 from tests.recovery.stand_ins import TASKS, small_spec
 
-palpate.study.StudyLoop = partial(StudyLoop, tasks=TASKS)
+palpate.service.study.loop.Study = partial(StudyLoop, tasks=TASKS)
 print(palpate.study.Study(small_spec(), "runs/demo").run(in_process=True).stop_reason)
 """
 

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher
 from tests.recovery.stand_ins import run
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from palpate.service.cluster.open import ALLOWED_FAILURES
+from palpate.service.cluster.dask_cluster import ALLOWED_FAILURES
 from tests.recovery.stand_ins import set_manners, told
 
 HERE = Path(__file__).parent

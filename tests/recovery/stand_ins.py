@@ -1,6 +1,6 @@
 """Fast stand-ins for the real tasks, with the same contract.
 
-They keep the contract of `workers.tasks.evaluation`: idempotent, the record stored last,
+They keep the contract of `workers.tasks.study_tasks`: idempotent, the record stored last,
 divergence an ordinary ending, everything a function of the request. Each execution adds one
 line to `LOG` when the evaluation is finished.
 
@@ -21,18 +21,15 @@ from typing import Any
 
 import numpy as np
 
-from palpate.service.cluster.dispatch import Ending
-from palpate.service.study.log import StudyLog
-from palpate.service.study.loop import Conclusion, Study, Tasks
-from palpate.service.study.spec import StudySpec, parse_spec
-from palpate.storage.backends.layout import StudyLayout
-from palpate.storage.backends.places import Location
-from palpate.storage.digest import digest
+from palpate.service.cluster.task_dispatch import Ending
+from palpate.service.study.loop import Conclusion, Study
+from palpate.service.study.study_folder import StudyLog
+from palpate.service.study.study_keys import StudySpec, parse_spec
+from palpate.service.study.task_requests import Tasks
+from palpate.storage.backends.store_paths import Location, StudyLayout
 from palpate.storage.errors import StoreError
-from palpate.storage.plain import dumps
-from palpate.storage.records.evaluations import load_evaluation, save_evaluation
-from palpate.storage.records.seal import KEY, seal
-from palpate.storage.stores.store import Store, open_store
+from palpate.storage.json_digests import CHECKSUM_KEY, digest, dumps, seal
+from palpate.storage.store import Store, load_evaluation, open_store, save_evaluation
 from palpate.workers.organs.normal_equations import NormalEquations
 from palpate.workers.tasks.pipeline import with_priors
 
@@ -221,7 +218,7 @@ def told(folder: Path) -> dict[int, tuple[Any, ...]]:
 
 def rewrite(journal: Path, records: Iterable[Record]) -> None:
     """Rewrite a journal with correct checksums, as a forger would, unlike a failing disk."""
-    lines = [{k: v for k, v in record.items() if k != KEY} for record in records]
+    lines = [{k: v for k, v in record.items() if k != CHECKSUM_KEY} for record in records]
     journal.write_text("".join(seal(dumps(line)) + "\n" for line in lines))
 
 

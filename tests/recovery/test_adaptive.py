@@ -9,11 +9,11 @@ from typing import Any
 
 import pytest
 
-from palpate.service.cluster import adaptive
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
-from palpate.service.study.log import StudyLog
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.cluster import dask_cluster
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.service.study.study_folder import StudyLog
+from palpate.storage.backends.store_paths import StudyLayout
 from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
 PATIENCE_S = 120.0
@@ -21,8 +21,8 @@ PATIENCE_S = 120.0
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(adaptive, "ADAPT_EVERY_S", 0.1)
-    monkeypatch.setattr(adaptive, "IDLE_S", 1.0)
+    monkeypatch.setattr(dask_cluster, "ADAPT_EVERY_S", 0.1)
+    monkeypatch.setattr(dask_cluster, "IDLE_S", 1.0)
 
 
 def until(reached: Callable[[], bool], what: str) -> None:

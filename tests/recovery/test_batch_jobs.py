@@ -14,8 +14,8 @@ import dask
 import pytest
 import yaml
 
-from palpate.service.cluster import adaptive, batch_jobs
-from palpate.service.cluster.batch_jobs import (
+from palpate.service.cluster import batch_system_workers, dask_cluster
+from palpate.service.cluster.batch_system_workers import (
     BatchSystem,
     JobCluster,
     JobRequest,
@@ -23,10 +23,10 @@ from palpate.service.cluster.batch_jobs import (
     open_jobs,
 )
 from palpate.service.cluster.certificates import make_certificates
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
-from palpate.service.cluster.worker_range import WorkerRange
-from palpate.service.errors import ClusterError
+from palpate.service.cluster.cluster_choice import WorkerRange
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.service.errors_and_interrupts import ClusterError
 from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
 pytest.importorskip("dask_jobqueue", reason="dask-jobqueue is not installed")
@@ -119,8 +119,8 @@ def until_up(cluster: JobCluster, workers: int) -> None:
 def test_a_job_that_slurm_ends_is_submitted_again(
     jobs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(batch_jobs, "LOOK_EVERY_S", 0.1)
-    monkeypatch.setattr(batch_jobs, "GONE_S", 0.5)
+    monkeypatch.setattr(batch_system_workers, "LOOK_EVERY_S", 0.1)
+    monkeypatch.setattr(batch_system_workers, "GONE_S", 0.5)
     with open_jobs(JobRequest("slurm", workers=1, memory="1GB", host="127.0.0.1")) as cluster:
         cluster.submit()
         until_up(cluster, 1)
@@ -134,8 +134,8 @@ def test_a_job_that_slurm_ends_is_submitted_again(
 
 @pytest.mark.slow
 def test_jobs_follow_the_work(jobs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(adaptive, "ADAPT_EVERY_S", 0.1)
-    monkeypatch.setattr(adaptive, "IDLE_S", 1.0)
+    monkeypatch.setattr(dask_cluster, "ADAPT_EVERY_S", 0.1)
+    monkeypatch.setattr(dask_cluster, "IDLE_S", 1.0)
     run(tmp_path / "here" / "demo", Inline())
     folder = tmp_path / "runs" / "demo"
     set_manners(tmp_path / "runs" / "store", held_after=0)

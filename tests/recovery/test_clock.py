@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from palpate.service.cluster.dispatch import Ending
-from palpate.service.errors import Interrupted
-from palpate.service.results.read import study_results
+from palpate.service.cluster.task_dispatch import Ending
+from palpate.service.errors_and_interrupts import Interrupted
+from palpate.service.results.results_from_journal import study_results
 from palpate.service.study import loop as study_module
 from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, told
 

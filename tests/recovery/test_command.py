@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from palpate.service.cluster.single_process import SingleProcess
+from palpate.service.cluster.task_dispatch import SingleProcess
 from palpate.service.study.loop import Study
-from palpate.service.study.spec import read_spec
+from palpate.service.study.study_keys import read_spec
 from tests.recovery.processes import plain_cluster
 from tests.recovery.stand_ins import told
 

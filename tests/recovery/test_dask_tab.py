@@ -13,18 +13,15 @@ import pytest
 from bokeh.client import pull_session
 from distributed import Client, LocalCluster
 
-from palpate.service.cluster.dask_rows import IdleTime
-from palpate.service.cluster.dask_tab import PAGE, PalpateTab, add_tab
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
-from palpate.service.diagnosis import dask_observer as dask_diagnosis
-from palpate.service.diagnosis.dask_observer import DiagnosisRecords, run_and_tell
-from palpate.service.diagnosis.step import Step
-from palpate.service.server.jobs.study_job import run_job, study_request
-from palpate.service.study.log import StudyLog
-from palpate.service.study.observers.dask_records import DaskRecords
-from palpate.service.study.session import Session
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.dask_dashboard import PAGE, IdleTime, PalpateTab, add_tab
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.service.diagnosis import diagnosis_run as dask_diagnosis
+from palpate.service.diagnosis.diagnosis_run import DiagnosisRecords, Step, run_and_tell
+from palpate.service.server.jobs.study_and_diagnosis_jobs import run_queued_study, study_request
+from palpate.service.study.study_folder import StudyLog
+from palpate.service.study.study_session import DaskRecords, Session
+from palpate.storage.backends.store_paths import StudyLayout
 from tests.recovery.stand_ins import TASKS, set_manners, small_spec
 
 DEADLINE_S = 20.0
@@ -34,7 +31,7 @@ def run_small_study(client: Client, folder: Path) -> StudyLog:
     set_manners(folder.parent / "store", seconds=0.01)
     request = study_request(small_spec(), accept_new_code=False)
     session = Session(Dispatcher(client), "", (DaskRecords(client),))
-    run_job(request, folder, folder.parent / "store", session, TASKS, reports=False)
+    run_queued_study(request, folder, folder.parent / "store", session, TASKS, reports=False)
     return StudyLog.read(StudyLayout(folder).journal)
 
 
@@ -107,7 +104,7 @@ def test_page_shows_the_steps_of_a_diagnosis(
         shown.extend(state_of_diagnosis(url, lambda state: state.startswith("effects, 2")))
         return SimpleNamespace(summary=SimpleNamespace(verdict="no-gap"))
 
-    monkeypatch.setattr(dask_diagnosis, "run", run)
+    monkeypatch.setattr(dask_diagnosis, "run_diagnosis", run)
     with open_cluster(workers=1) as cluster:
         url = page_of(cluster.dashboard)
         request: Any = None
@@ -156,7 +153,7 @@ def test_tab_is_added_only_once(tmp_path: Path) -> None:
 
 
 def test_scheduler_without_dashboard_has_no_tab(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level("INFO", "palpate.service.cluster.dask_tab")
+    caplog.set_level("INFO", "palpate.service.cluster.dask_dashboard")
     with (
         LocalCluster(
             n_workers=0,

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
-from palpate.storage.stores.store import open_store
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.storage.store import open_store
 from tests.recovery.stand_ins import SPEC, Inline, run, set_manners, small_spec, told
 
 TEXT = SPEC.replace("population: 12", "population: 6").replace("generations: 5", "generations: 1")

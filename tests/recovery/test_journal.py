@@ -11,9 +11,8 @@ import threading
 import pytest
 
 from palpate.storage.errors import JournalError, NewerSchemaError
-from palpate.storage.records.journal import BLOCK, Journal
-from palpate.storage.records.record import EvaluationRecord, record_of
-from palpate.storage.records.status import Status
+from palpate.storage.journal import BLOCK, Journal
+from palpate.storage.journal_records import EvaluationRecord, Status, record_of
 
 RECORDS = [{"candidate": i, "gsf": -i / 3, "note": "é\n\u2028\udcff"} for i in range(5)]
 LAST = {"candidate": 99}
@@ -130,7 +129,7 @@ def test_second_writer_does_not_cut_off_the_first_one(written):
 def test_killed_writer_leaves_records_and_no_lock(path):
     code = """
 import os, signal, sys
-from palpate.storage.records.journal import Journal
+from palpate.storage.journal import Journal
 journal = Journal(sys.argv[1])
 journal.append({"candidate": 0})
 os.write(journal._handle, b'{"candidate": 1')
@@ -164,7 +163,7 @@ def test_forked_process_does_not_keep_the_lock(path):
     """A nanny starts a worker while the journal is closed: the new process still has a copy."""
     code = """
 import os, signal, sys
-from palpate.storage.records.journal import Journal
+from palpate.storage.journal import Journal
 journal = Journal(sys.argv[1])
 child = os.fork()
 if child == 0:
@@ -227,7 +226,7 @@ def test_file_size_limit_keeps_complete_records(path):
     code = """
 import resource, signal, sys
 from palpate.storage.errors import JournalError
-from palpate.storage.records.journal import Journal
+from palpate.storage.journal import Journal
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300))
 with Journal(sys.argv[1]) as journal:
@@ -387,7 +386,7 @@ def test_invalid_version_is_damage(written, version):
 def test_concurrent_readers_never_see_partial_records(path):
     code = """
 import sys
-from palpate.storage.records.journal import Journal
+from palpate.storage.journal import Journal
 with Journal(sys.argv[1]) as journal:
     for number in range(300):
         journal.append({"candidate": number, "note": "x" * (number * 37 % 9000)})

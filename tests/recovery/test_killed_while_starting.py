@@ -7,10 +7,10 @@ from contextlib import suppress
 import psutil
 import pytest
 
-from palpate.service.cluster import open as cluster_module
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
-from palpate.service.errors import ClusterError
+from palpate.service.cluster import dask_cluster as cluster_module
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.service.errors_and_interrupts import ClusterError
 
 
 class Killer:

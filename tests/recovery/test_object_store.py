@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 
-from palpate.service.cluster.dispatch import Ending
+from palpate.service.cluster.task_dispatch import Ending
 from palpate.service.study.loop import Study
-from palpate.service.study.spec import parse_spec
-from palpate.storage.backends.layout import StudyLayout
-from palpate.storage.records.journal import Journal
+from palpate.service.study.study_keys import parse_spec
+from palpate.storage.backends.store_paths import StudyLayout
+from palpate.storage.journal import Journal
 from tests.recovery.processes import HERE
 from tests.recovery.stand_ins import Inline, executed, run, set_manners, small_spec, told
 from tests.storage.object_server import ObjectServer

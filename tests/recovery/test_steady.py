@@ -8,19 +8,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.service.cluster.dispatch import NOT_YET, Dispatcher, Ending
-from palpate.service.cluster.open import open_cluster
-from palpate.service.errors import GenerationCrashError, Interrupted
-from palpate.service.results.read import study_results
-from palpate.service.search.genetic import GeneticSearch, GeneticSettings
-from palpate.service.search.space import Space
-from palpate.service.search.steady import Pool, SteadyGenetic
-from palpate.service.study.log import StudyLog
-from palpate.service.study.replay import PendingGeneration
-from palpate.service.study.steady_replay import SteadyReplay, replayed
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import NOT_YET, Dispatcher, Ending
+from palpate.service.errors_and_interrupts import GenerationCrashError, Interrupted
+from palpate.service.results.results_from_journal import study_results
+from palpate.service.search.genetic_search import (
+    GeneticSearch,
+    GeneticSettings,
+    Pool,
+    SteadyGenetic,
+)
+from palpate.service.search.search_interface import Space
+from palpate.service.study.search_replay import PendingGeneration, SteadyReplay, replayed
+from palpate.service.study.study_folder import StudyLog
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError, JournalError
-from palpate.storage.records.status import Status
+from palpate.storage.journal_records import Status
 from tests.recovery.stand_ins import SPEC, assert_each_ran_once, run, set_manners, small_spec, told
 
 STEADY = SPEC.replace("  population: 12", "  mode: steady\n  population: 12")

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from palpate.service.study.loop import Study
-from palpate.service.study.observers.hooks import Observer, StopSearch
-from palpate.storage.records.record import EvaluationRecord
+from palpate.service.study.study_events import Observer, StopSearch
+from palpate.storage.journal_records import EvaluationRecord
 from tests.recovery.stand_ins import SPEC, TASKS, Inline, run, small_spec, told
 
 STEADY = SPEC.replace("generations: 5", "generations: 5\n  mode: steady\n  in_flight: 3")

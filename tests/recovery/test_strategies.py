@@ -7,13 +7,13 @@ from typing import Any
 
 import pytest
 
-from palpate.service.cluster.dispatch import Ending
-from palpate.service.errors import Interrupted
-from palpate.service.results.as_json import study_json
-from palpate.service.results.read import study_results
-from palpate.service.study.log import StudyLog
-from palpate.service.study.spec import StudySpec
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.cluster.task_dispatch import Ending
+from palpate.service.errors_and_interrupts import Interrupted
+from palpate.service.results.results_as_json import study_json
+from palpate.service.results.results_from_journal import study_results
+from palpate.service.study.study_folder import StudyLog
+from palpate.service.study.study_keys import StudySpec
+from palpate.storage.backends.store_paths import StudyLayout
 from tests.recovery.stand_ins import (
     SPEC,
     Inline,

@@ -14,18 +14,17 @@ from typing import Any
 
 import pytest
 
-from palpate.service.cluster.dispatch import Dispatcher, Ending
-from palpate.service.cluster.open import open_cluster
-from palpate.service.errors import ClusterError, GenerationCrashError, Interrupted
-from palpate.service.study import folder as study_folder
-from palpate.service.study.log import StudyLog
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher, Ending
+from palpate.service.errors_and_interrupts import ClusterError, GenerationCrashError, Interrupted
+from palpate.service.study import study_folder
 from palpate.service.study.loop import Study
-from palpate.service.study.observers.hooks import Observer
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.study.study_events import Observer
+from palpate.service.study.study_folder import StudyLog
+from palpate.storage import journal as storage_journal
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError, JournalError, NewerSchemaError, StoreError
-from palpate.storage.records import journal as storage_journal
-from palpate.storage.records.record import EvaluationRecord
-from palpate.storage.records.status import Status
+from palpate.storage.journal_records import EvaluationRecord, Status
 from tests.recovery.stand_ins import (
     KEPT,
     SPEC,

@@ -15,8 +15,8 @@ import pytest
 
 from palpate.service.cli import main
 from palpate.service.cluster.certificates import ROLES, Certificates, make_certificates
-from palpate.service.cluster.open import open_cluster
-from palpate.service.errors import ClusterError
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.errors_and_interrupts import ClusterError
 from palpate.storage.errors import InputError
 from tests.recovery.processes import HERE, plain_cluster
 from tests.recovery.stand_ins import Inline, run, told

@@ -8,8 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher
 from tests.recovery.stand_ins import Inline, assert_each_ran_once, run, set_manners, told
 
 

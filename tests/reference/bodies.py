@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 
 from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
-from palpate.workers.body.mesh.hierarchy import Hierarchy
-from palpate.workers.mechanics.fem.elements.model import Model, prepare
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants
+from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants
+from palpate.workers.mechanics.fem.discretisation import Model, prepare
 from tests.reference.calculix import Material
 from tests.workers.mechanics.fem.blocks import cube, level_of
 
@@ -49,7 +49,7 @@ class Block:
 
     @cached_property
     def model(self) -> Model:
-        """Return the model for `workers.mechanics.fem.equilibrium.solve.solve`."""
+        """Return the model for `workers.mechanics.fem.body_equilibrium.solve`."""
         tissue = np.where(self.inside, Tissue.GLANDULAR, Tissue.FAT)
         return prepare(Hierarchy((level_of(self.mesh, tissue),)))
 

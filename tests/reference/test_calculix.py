@@ -8,10 +8,10 @@ deforms as much as a soft one.
 import numpy as np
 import pytest
 
-from palpate.workers.mechanics.fem.contact.plates import PENALTY_N_PER_MM3
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
-from palpate.workers.mechanics.fem.problem.loads import (
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Problem, Solution
+from palpate.workers.mechanics.fem.loads_and_regions import (
+    Box,
     DeadForce,
     DistanceControl,
     Hold,
@@ -19,8 +19,7 @@ from palpate.workers.mechanics.fem.problem.loads import (
     Pressure,
     Wall,
 )
-from palpate.workers.mechanics.fem.problem.outcome import Solution
-from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.mechanics.fem.plate_contact import PENALTY_N_PER_MM3
 from tests.reference.bodies import SIDE_MM, Block, block
 from tests.reference.calculix import Answer, Body, Held, Springs, available
 from tests.reference.calculix import solve as calculix

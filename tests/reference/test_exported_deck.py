@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.service.export.formats import export_solved
-from palpate.service.export.solved_body import SolvedBody, solve_body
+from palpate.service.export.export_formats import export_solved
+from palpate.service.export.solved_mesh_files import SolvedBody, solve_body
 from palpate.service.export.solver_model import comparable
-from palpate.service.study.spec import read_spec
+from palpate.service.study.study_keys import read_spec
 from palpate.storage.values import FloatArray
 
 pytestmark = pytest.mark.skipif(

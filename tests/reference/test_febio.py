@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import TetMesh, Tissue, Volume
-from palpate.workers.body.mesh.boundary import boundary_triangles, split_boundary
-from palpate.workers.body.mesh.hierarchy import Hierarchy, MeshLevel, build_hierarchy
-from palpate.workers.body.mesh.prolongation import prolongation
-from palpate.workers.mechanics.fem.elements.model import Model, prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import (
+from palpate.workers.body.mesh.mesh_geometry import boundary_triangles, split_boundary
+from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy, MeshLevel, build_hierarchy
+from palpate.workers.body.mesh.nodal_interpolation import prolongation
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.discretisation import Model, prepare
+from palpate.workers.mechanics.fem.loads_and_regions import (
+    Box,
     Device,
     DistanceControl,
     ForceControl,
     Hold,
     Plate,
 )
-from palpate.workers.mechanics.fem.problem.regions import Box
 
 CASES = Path(__file__).parents[3] / "shared" / "reference" / "febio"
 NEO_HOOKEAN = {

@@ -11,12 +11,12 @@ import pytest
 pytest.importorskip("felupe", reason="FElupe is not installed (pip install felupe)")
 
 from palpate.storage.values import Tissue
-from palpate.workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
-from palpate.workers.mechanics.fem.contact.plates import PENALTY_N_PER_MM3
-from palpate.workers.mechanics.fem.elements.model import Model, prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import DistanceControl, Wall
+from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy, build_hierarchy
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.discretisation import Model, prepare
+from palpate.workers.mechanics.fem.loads_and_regions import DistanceControl, Wall
+from palpate.workers.mechanics.fem.plate_contact import PENALTY_N_PER_MM3
 from tests.reference.bodies import half_ellipsoid
 from tests.reference.felupe_body import solve_tets
 

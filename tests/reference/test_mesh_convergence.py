@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import FloatArray, Tissue
-from palpate.workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
-from palpate.workers.body.mesh.prolongation import prolongation
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import ForceControl, Hold, NoPlates, Wall
-from palpate.workers.mechanics.fem.problem.outcome import Solution
-from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy, build_hierarchy
+from palpate.workers.body.mesh.nodal_interpolation import prolongation
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem, Solution
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.mechanics.fem.loads_and_regions import Box, ForceControl, Hold, NoPlates, Wall
 from tests.reference.bodies import SIDE_MM, half_ellipsoid
 from tests.workers.mechanics.fem.blocks import cube, level_of
 

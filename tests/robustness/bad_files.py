@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from palpate.service import cli
-from palpate.service.cluster import open as cluster_module
-from palpate.service.errors import ClusterError
+from palpate.service.cluster import dask_cluster as cluster_module
+from palpate.service.errors_and_interrupts import ClusterError
 from palpate.storage.errors import PalpateError
 from tests.cases.bench.bench_cases import described, write
 from tests.robustness.mutations import damaged

@@ -13,7 +13,7 @@ from urllib.parse import quote, urlsplit
 
 import httpx
 
-from palpate.service.server.jobs.tokens import Tokens
+from palpate.service.server.jobs.home_and_tokens import Tokens
 from tests.robustness.outcome import SECRET
 from tests.service.server.service_process import TOKEN, ServiceProcess, running_service
 

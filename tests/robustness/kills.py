@@ -9,8 +9,8 @@ from pathlib import Path
 
 import httpx
 
-from palpate.service.study.log import StudyLog
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.study.study_folder import StudyLog
+from palpate.storage.backends.store_paths import StudyLayout
 from tests.recovery.stand_ins import SPEC
 from tests.robustness.http_attacks import API, SIGNED, _healthy
 from tests.service.server.service_process import ServiceProcess

@@ -19,15 +19,15 @@ from PIL import Image
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian, SegmentationStorage, generate_uid
 
-from palpate.service.study.archive import MANIFEST, import_study
-from palpate.service.study.spec import read_spec
-from palpate.workers.body.images.label_files import read_label_file
-from palpate.workers.body.images.read import read_volume
-from palpate.workers.mechanics.materials.table_file import read_tables
-from palpate.workers.organs.cornea.frames.picture import read_picture
-from palpate.workers.organs.specimen.block import lattice
-from palpate.workers.organs.specimen.readings.mesh_file import read_mesh_file
-from palpate.workers.tasks.sources import open_source
+from palpate.service.study.study_archive import MANIFEST, import_study
+from palpate.service.study.study_keys import read_spec
+from palpate.workers.body.images.image_formats import read_volume_file
+from palpate.workers.body.images.named_labels import read_label_file
+from palpate.workers.mechanics.materials.law_fit import read_tables
+from palpate.workers.organs.cornea.tonometer_frames import read_picture
+from palpate.workers.organs.specimen.block_lattice import lattice
+from palpate.workers.organs.specimen.mesh_file import read_mesh_file
+from palpate.workers.tasks.diagnosis_sources import open_source
 from tests.cases.bench.bench_cases import described, rows, text_of, write
 
 UNIT = (1.0, 1.0, 1.0)
@@ -78,7 +78,7 @@ def labels() -> np.ndarray:
 def volume(path: Path) -> object:
     """Read an image; spacing is given if the format has none."""
     stated = path.name.endswith((".npy", ".tif"))
-    return read_volume(path, spacing_mm=UNIT if stated else None)
+    return read_volume_file(path, spacing_mm=UNIT if stated else None)
 
 
 def nrrd_file(encoding: str) -> Callable[[Path], object]:
@@ -219,7 +219,7 @@ SEEDS = (
     Seed("TIFF", "imagej.tif", tiff_file(imagej=True, metadata={"axes": "ZYX"}), volume),
     Seed("NumPy", "a.npy", lambda path: np.save(path, labels()), volume),
     Seed("DICOM", "seg.dcm", dicom_segmentation, volume),
-    Seed("DICOM", "slice.dcm", dicom_slice, lambda path: read_volume(path.parent)),
+    Seed("DICOM", "slice.dcm", dicom_slice, lambda path: read_volume_file(path.parent)),
     Seed("mesh", "ascii.vtk", mesh_file(False), lambda path: read_mesh_file(path, 1.0)),
     Seed("mesh", "binary.vtk", mesh_file(True), lambda path: read_mesh_file(path, 1.0)),
     Seed("mesh", "a.vtu", mesh_file(), lambda path: read_mesh_file(path, 1.0)),

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.cluster import open as cluster_module
-from palpate.service.study import session as session_module
+from palpate.service.cluster import dask_cluster as cluster_module
+from palpate.service.study import study_session as session_module
 
 
 @pytest.fixture

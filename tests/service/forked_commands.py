@@ -18,12 +18,12 @@ from pathlib import Path
 # Modules that commands load before their first check.
 IMPORTS = (
     "palpate.service.cli",
-    "palpate.service.cluster.open",
-    "palpate.service.report.study.page",
+    "palpate.service.cluster.dask_cluster",
+    "palpate.service.report.study.study_page",
     "palpate.service.run_study",
-    "palpate.workers.blind.causes",
-    "palpate.workers.organs.breast.organ",
-    "palpate.workers.tasks.diagnosis",
+    "palpate.workers.blind.random_case",
+    "palpate.workers.organs.breast.breast_organ",
+    "palpate.workers.tasks.diagnosis_tasks",
     "palpate.workers.tasks.pipeline",
 )
 

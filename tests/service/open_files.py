@@ -25,8 +25,8 @@ def note(event: str, arguments: tuple[object, ...]) -> None:
 
 sys.addaudithook(note)
 
-from palpate.service.blind.answering.single_process import diagnose_alone  # noqa: E402
-from palpate.service.diagnosis.run import request_for  # noqa: E402
+from palpate.service.blind.diagnosed_case import diagnose_alone  # noqa: E402
+from palpate.service.diagnosis.diagnosis_run import request_for  # noqa: E402
 
 if __name__ == "__main__":
     case, store, other = (Path(argument) for argument in sys.argv[1:])

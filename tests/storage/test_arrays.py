@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from palpate.storage import stored_arrays as module
 from palpate.storage.errors import NewerSchemaError, StoreError
-from palpate.storage.stores import arrays as module
-from palpate.storage.stores.arrays import exists, load_arrays, load_meta, save_arrays
+from palpate.storage.stored_arrays import has_arrays, load_arrays, load_meta, save_arrays
 from tests.storage.stores_at_hand import run_python, same_bits
 
 RNG = np.random.default_rng(1)
@@ -126,11 +126,11 @@ def test_writer_that_finishes_second_discards_its_result(tmp_path, monkeypatch):
     rename = os.rename
 
     def slow(source: Path, target: Path) -> None:
-        monkeypatch.setattr("palpate.storage.backends.atomic.os.rename", rename)
+        monkeypatch.setattr("palpate.storage.backends.atomic_files.os.rename", rename)
         save_arrays(path, {"a": np.zeros(3)})  # the other writer finishes first
         rename(source, target)
 
-    monkeypatch.setattr("palpate.storage.backends.atomic.os.rename", slow)
+    monkeypatch.setattr("palpate.storage.backends.atomic_files.os.rename", slow)
     save_arrays(path, {"a": np.ones(3)})
     assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
     assert [p.name for p in tmp_path.iterdir()] == ["x.zarr"]
@@ -140,7 +140,7 @@ def test_group_published_meanwhile_is_never_removed(tmp_path, monkeypatch):
     path = tmp_path / "x.zarr"
     save_arrays(path, {"a": np.zeros(3)})
     monkeypatch.setattr(
-        "palpate.storage.stores.arrays.exists", lambda _: False
+        "palpate.storage.stored_arrays.has_arrays", lambda _: False
     )  # checked before it exists
     create = zarr.create_group
 
@@ -148,7 +148,9 @@ def test_group_published_meanwhile_is_never_removed(tmp_path, monkeypatch):
         assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
         return create(*arguments, **options)
 
-    monkeypatch.setattr("palpate.storage.backends.local.zarr.create_group", while_it_is_filled)
+    monkeypatch.setattr(
+        "palpate.storage.backends.folder_backend.zarr.create_group", while_it_is_filled
+    )
     save_arrays(path, {"a": np.ones(3)})
     assert load_arrays(path)[0]["a"].tolist() == [0, 0, 0]
 
@@ -158,7 +160,7 @@ def test_concurrent_writers_of_one_name_leave_one_whole_group(tmp_path):
 import sys
 from pathlib import Path
 import numpy as np
-from palpate.storage.stores.arrays import load_arrays, save_arrays
+from palpate.storage.stored_arrays import load_arrays, save_arrays
 path = Path(sys.argv[1])
 for n in range(20):
     save_arrays(path / f"{n}.zarr", {"a": np.full((40, 40, 40), int(sys.argv[2]))})
@@ -175,13 +177,13 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from palpate.storage.backends import atomic
-from palpate.storage.stores.arrays import save_arrays
+from palpate.storage.backends import atomic_files
+from palpate.storage.stored_arrays import save_arrays
 
 def die(*_):
     os.kill(os.getpid(), signal.SIGKILL)
 
-setattr(atomic.os if sys.argv[2] == "rename" else atomic, sys.argv[2], die)
+setattr(atomic_files.os if sys.argv[2] == "rename" else atomic_files, sys.argv[2], die)
 save_arrays(Path(sys.argv[1]), {"a": np.ones((200, 200, 3))}, {})
 """
 
@@ -192,7 +194,7 @@ def test_writer_killed_before_the_rename_leaves_nothing_readable(tmp_path, momen
     assert run_python(KILLED, path, moment).returncode == -9
     (leftover,) = tmp_path.iterdir()
     assert leftover.name.startswith(".tmp-")
-    assert not exists(path)
+    assert not has_arrays(path)
     with pytest.raises(StoreError, match=r"not in the store.*Run the study again"):
         load_arrays(path)
     save_arrays(path, {"a": np.zeros(3)})
@@ -204,7 +206,7 @@ def test_full_disk_raises_store_error_and_leaves_nothing(tmp_path):
 import resource, signal, sys
 from pathlib import Path
 import numpy as np
-from palpate.storage.stores.arrays import save_arrays
+from palpate.storage.stored_arrays import save_arrays
 from palpate.storage.errors import StoreError
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
@@ -223,7 +225,7 @@ def test_no_space_left_gives_advice(tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("palpate.storage.backends.atomic.sync", full)
+    monkeypatch.setattr("palpate.storage.backends.atomic_files.sync", full)
     with pytest.raises(StoreError, match=r"No space left.*free some space"):
         save_arrays(tmp_path / "x.zarr", {"a": np.zeros(3)})
     assert list(tmp_path.iterdir()) == []

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from palpate.storage.backends.aws_profile import Profile, read_profile
+from palpate.storage.backends.bucket_client import AwsProfile, read_aws_profile
 from palpate.storage.errors import StoreError
 
 CREDENTIALS = """\
@@ -49,17 +49,17 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     ("name", "profile"),
     [
-        ("", Profile("one", "a%b/c=", "", "eu-central-1")),
-        ("default", Profile("one", "a%b/c=", "", "eu-central-1")),
-        ("lab", Profile("two", "secret", "token", "eu-west-1", "http://objects:9000")),
-        ("bare", Profile(region="eu-north-1")),
+        ("", AwsProfile("one", "a%b/c=", "", "eu-central-1")),
+        ("default", AwsProfile("one", "a%b/c=", "", "eu-central-1")),
+        ("lab", AwsProfile("two", "secret", "token", "eu-west-1", "http://objects:9000")),
+        ("bare", AwsProfile(region="eu-north-1")),
     ],
 )
 def test_profile_is_read_from_both_files(
-    home: Path, monkeypatch: pytest.MonkeyPatch, name: str, profile: Profile
+    home: Path, monkeypatch: pytest.MonkeyPatch, name: str, profile: AwsProfile
 ) -> None:
     monkeypatch.setenv("AWS_PROFILE", name)
-    assert read_profile() == profile
+    assert read_aws_profile() == profile
 
 
 def test_files_at_other_paths_are_read_again_when_changed(
@@ -68,11 +68,11 @@ def test_files_at_other_paths_are_read_again_when_changed(
     other = home / "keys"
     monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(other))
     monkeypatch.setenv("AWS_CONFIG_FILE", "~/nothing-there")
-    assert read_profile() == Profile()
+    assert read_aws_profile() == AwsProfile()
     for key in ("first", "second"):
         other.write_text(f"[default]\naws_access_key_id={key}\naws_secret_access_key=x\n")
         os.utime(other, (1, len(key)))
-        assert read_profile() == Profile(key, "x")
+        assert read_aws_profile() == AwsProfile(key, "x")
 
 
 @pytest.mark.parametrize(
@@ -88,10 +88,10 @@ def test_refuses_unusable_profile(
 ) -> None:
     monkeypatch.setenv("AWS_PROFILE", name)
     with pytest.raises(StoreError, match=message):
-        read_profile()
+        read_aws_profile()
 
 
 def test_unreadable_file_is_named(home: Path) -> None:
     (home / ".aws" / "config").write_text("region = eu\n")
     with pytest.raises(StoreError, match=r"config cannot be read: .*Fix it, or set AWS_ACCESS_KEY"):
-        read_profile()
+        read_aws_profile()

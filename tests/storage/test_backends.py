@@ -16,24 +16,35 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.storage.backends import contract as backends
-from palpate.storage.backends.places import Place, place_of
+from palpate.storage.backends.store_paths import Place, place_of
 from palpate.storage.errors import NewerSchemaError, StoreError
-from palpate.storage.records.evaluations import load_evaluation, save_evaluation
-from palpate.storage.stores.arrays import exists, load_arrays, load_meta, save_arrays
-from palpate.storage.stores.copies import copy_entry
-from palpate.storage.stores.fields import has_field, load_field, save_field
-from palpate.storage.stores.meshes import has_mesh, load_mesh, save_mesh
-from palpate.storage.stores.probe import probe_store
-from palpate.storage.stores.store import Store, open_store
-from palpate.storage.stores.volumes import (
+from palpate.storage.store import (
+    Store,
+    backend_of,
+    load_evaluation,
+    open_store,
+    probe_store,
+    save_evaluation,
+)
+from palpate.storage.stored_arrays import (
+    copy_entry,
+    has_arrays,
+    has_field,
+    has_mesh,
     has_volume,
     list_volumes,
+    load_arrays,
+    load_field,
+    load_mesh,
+    load_meta,
     load_volume,
+    save_arrays,
+    save_field,
+    save_mesh,
     save_volume,
     volume_meta,
 )
-from palpate.storage.upkeep.check import check_store, set_aside
+from palpate.storage.upkeep import check_store, set_aside
 from tests.storage.stores_at_hand import labels, run_python, same_bits
 
 RNG = np.random.default_rng(3)
@@ -91,11 +102,11 @@ def test_newer_store_is_unchanged(location: str) -> None:
     text = b'{"schema_version": 2, "sharded": true}'
     if isinstance(marker, Path):
         marker.parent.mkdir(parents=True)
-    backends.backend_of(marker).write(marker, text)
+    backend_of(marker).write(marker, text)
     for create in (True, False):
         with pytest.raises(NewerSchemaError, match=r"schema 2.*Upgrade"):
             open_store(location, create=create)
-    assert backends.backend_of(marker).read(marker) == text
+    assert backend_of(marker).read(marker) == text
 
 
 def test_damaged_description_gives_advice(store: Store) -> None:
@@ -148,7 +159,7 @@ def chunks(store: Store, place: Place) -> list[Place]:
         return [p for p in place.rglob("*") if p.is_file() and p.name != "zarr.json"]
     import obstore
 
-    from palpate.storage.backends.object_client import client_of
+    from palpate.storage.backends.bucket_client import client_of
 
     found = [o["path"] for page in obstore.list(client_of(place), place.key) for o in page]
     return [replace(place, key=key) for key in found if not key.endswith("zarr.json")]
@@ -229,14 +240,14 @@ def test_interrupted_creation_is_retried(
 KILLED = """
 import os, sys
 import numpy as np
-from palpate.storage.backends import atomic, objects as object_backend
-from palpate.storage.stores.fields import save_field
-from palpate.storage.stores.store import open_store
+from palpate.storage.backends import atomic_files, bucket_backend
+from palpate.storage.stored_arrays import save_field
+from palpate.storage.store import open_store
 
 store = open_store(sys.argv[1])
 def die(*_):
     os.kill(os.getpid(), 9)
-atomic.os.rename = object_backend.create = die  # the step that publishes
+atomic_files.os.rename = bucket_backend.create = die  # the step that publishes
 save_field(store, "f", np.ones((4, 3)))
 """
 
@@ -310,5 +321,5 @@ def test_probe_leaves_nothing_behind(location: str) -> None:
 
 def test_groups_are_identical_in_both_backends(store: Store) -> None:
     save_arrays(store.layout.field("x"), {"a": np.asfortranarray(RNG.normal(size=(3, 4, 5)))})
-    assert exists(store.layout.field("x"))
+    assert has_arrays(store.layout.field("x"))
     assert load_arrays(store.layout.field("x"))[0]["a"].flags.c_contiguous

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.storage.digest import array_digest, digest, file_digest, source_digest
 from palpate.storage.errors import InputError
+from palpate.storage.json_digests import array_digest, digest, file_digest, source_digest
 from tests.storage.stores_at_hand import run_python
 
 CASE = {"E_fat": 0.1 + 0.2, "nodes": 2000, "labels": {10: "fat", 9: "é"}, "a": [1, None, True]}
@@ -40,7 +40,7 @@ def test_digest_is_stable_across_versions():
 def test_digest_does_not_depend_on_the_hash_seed():
     code = """
 import ast, sys
-from palpate.storage.digest import digest
+from palpate.storage.json_digests import digest
 print(digest(ast.literal_eval(sys.argv[1])))
 """
     names = {run_python(code, repr(CASE)).stdout.strip() for _ in range(2)}

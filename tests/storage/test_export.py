@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError, StoreError
-from palpate.storage.stores.meshes import FORMATS, export_mesh
+from palpate.storage.stored_arrays import MESH_FORMATS, export_mesh
 from palpate.storage.values import TetMesh
 
 NODES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1 / 3, 1 / 3, -0.7]])
@@ -13,7 +13,7 @@ MESH = TetMesh(NODES, np.array([[0, 1, 2, 3], [0, 2, 1, 4]], np.int32))
 DISPLACEMENT = np.random.default_rng(0).normal(size=(5, 3))
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", MESH_FORMATS)
 def test_nodes_tetrahedra_and_values_round_trip(tmp_path, suffix):
     path = tmp_path / f"body{suffix}"
     tissue = np.array([1, 2], np.uint8)

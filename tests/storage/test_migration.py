@@ -2,13 +2,11 @@
 
 import pytest
 
+from palpate.storage import store as stores
+from palpate.storage import upkeep
 from palpate.storage.errors import NewerSchemaError, StoreError
-from palpate.storage.records.evaluations import save_evaluation
-from palpate.storage.stores import store as stores
-from palpate.storage.stores.lock import maintaining
-from palpate.storage.stores.store import Store, open_store, stored_schema
-from palpate.storage.upkeep import migration
-from palpate.storage.upkeep.migration import migrate
+from palpate.storage.store import Store, open_store, save_evaluation, stored_schema
+from palpate.storage.upkeep import maintaining, migrate
 
 
 @pytest.fixture(params=["folder", "bucket"])
@@ -45,7 +43,7 @@ def test_older_store_names_the_command_and_is_migrated_step_by_step(old, monkeyp
         if ran.count(2) == 1:
             raise StoreError("the disk is full")
 
-    monkeypatch.setattr(migration, "STEPS", {1: first, 2: second})
+    monkeypatch.setattr(upkeep, "STEPS", {1: first, 2: second})
     with pytest.raises(StoreError, match="disk is full"):
         migrate(str(old))
     assert stored_schema(old) == 2  # the first step is not repeated
@@ -58,7 +56,7 @@ def test_older_store_names_the_command_and_is_migrated_step_by_step(old, monkeyp
 
 
 def test_only_one_process_maintains_a_store(old, monkeypatch):
-    monkeypatch.setattr(migration, "STEPS", {1: lambda store: None, 2: lambda store: None})
+    monkeypatch.setattr(upkeep, "STEPS", {1: lambda store: None, 2: lambda store: None})
     with (
         maintaining(old, "palpate store gc --delete"),
         pytest.raises(StoreError, match=r"maintained by `palpate store gc --delete` \(process"),

@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from palpate.storage.errors import JournalError, NewerSchemaError
-from palpate.storage.plain import dumps, loads
-from palpate.storage.records.record import EvaluationRecord, StudyRecord, record_of
-from palpate.storage.records.status import Status
+from palpate.storage.journal_records import EvaluationRecord, Status, StudyRecord, record_of
+from palpate.storage.json_digests import dumps, loads
 
 SCORE = {"gsf": -1.5, "jc": 0.97, "mhd_mm": 0.1}
 DONE = {

@@ -1,6 +1,6 @@
 """An evaluation ends in a verdict, or is submitted again."""
 
-from palpate.storage.records.status import Status
+from palpate.storage.journal_records import Status
 
 
 def test_only_verdicts_are_endings():

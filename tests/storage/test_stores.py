@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from palpate.storage.backends.layout import StoreLayout, StudyLayout
+from palpate.storage.backends.store_paths import StoreLayout, StudyLayout
 from palpate.storage.errors import NewerSchemaError, StoreError
-from palpate.storage.stores.store import open_store
-from palpate.storage.stores.volumes import list_volumes, load_volume, save_volume
+from palpate.storage.store import open_store
+from palpate.storage.stored_arrays import list_volumes, load_volume, save_volume
 from tests.storage.stores_at_hand import labels, run_python
 
 DAY_S = 86_400
@@ -146,7 +146,7 @@ def test_many_processes_open_a_new_store_concurrently(tmp_path):
     code = """
 import sys
 from multiprocessing import get_context
-from palpate.storage.stores.store import open_store
+from palpate.storage.store import open_store
 if __name__ == "__main__":
     with get_context("fork").Pool(8) as pool:
         roots = pool.map(open_store, [sys.argv[1]] * 64)

@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 import zarr
 
-from palpate.storage.backends.atomic import withdraw
+from palpate.storage.backends.atomic_files import withdraw
 from palpate.storage.errors import NewerSchemaError, StoreError
-from palpate.storage.records.evaluations import load_evaluation, save_evaluation
-from palpate.storage.stores.fields import has_field, load_field, save_field
-from palpate.storage.stores.meshes import has_mesh, load_mesh, save_mesh
-from palpate.storage.stores.store import open_store
-from palpate.storage.stores.volumes import (
+from palpate.storage.store import load_evaluation, open_store, save_evaluation
+from palpate.storage.stored_arrays import (
+    has_field,
+    has_mesh,
     has_volume,
     list_volumes,
+    load_field,
+    load_mesh,
     load_volume,
+    save_field,
+    save_mesh,
     save_volume,
     volume_meta,
 )
@@ -124,10 +127,10 @@ def test_partially_removed_volume_is_gone(store):
     save_volume(store, "v", labels())
     code = """
 import os, signal, sys
-from palpate.storage.backends import atomic
-from palpate.storage.stores.store import open_store
-atomic.discard = lambda path: os.kill(os.getpid(), signal.SIGKILL)
-atomic.withdraw(open_store(sys.argv[1]).layout.volume("v"))
+from palpate.storage.backends import atomic_files
+from palpate.storage.store import open_store
+atomic_files.discard = lambda path: os.kill(os.getpid(), signal.SIGKILL)
+atomic_files.withdraw(open_store(sys.argv[1]).layout.volume("v"))
 """
     assert run_python(code, store.root).returncode == -9
     assert not has_volume(store, "v")
@@ -200,8 +203,8 @@ def test_evaluation_is_written_whole_or_not_at_all(store):
     code = """
 import os, signal, sys
 from pathlib import Path
-from palpate.storage.records.evaluations import save_evaluation
-from palpate.storage.stores.store import open_store
+from palpate.storage.store import save_evaluation
+from palpate.storage.store import open_store
 Path.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 save_evaluation(open_store(sys.argv[1]), "e", {"a": 1})
 """

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.documents import parse_json, parse_yaml
+from palpate.workers.input_files import parse_json, parse_yaml
 
 BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 12)

@@ -5,10 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from palpate.service.remote.client import Client
-from palpate.service.remote.uploads import with_uploaded_images
+from palpate.service.remote_client import Client, with_uploaded_images
 from palpate.service.study.preflight import preflight
-from palpate.service.study.spec import read_spec
+from palpate.service.study.study_keys import read_spec
 from palpate.storage.errors import InputError, StoreError
 from palpate.workers.input_files import (
     check_regular,
@@ -18,7 +17,7 @@ from palpate.workers.input_files import (
     read_text,
     reading,
 )
-from palpate.workers.tasks.sources import open_source, understood
+from palpate.workers.tasks.diagnosis_sources import open_source, understood
 
 
 def test_named_files_stay_in_the_folder_of_an_upload(tmp_path: Path) -> None:

@@ -2,12 +2,16 @@
 
 import pytest
 
-from palpate.service.search.spec import PriorSpec, SearchSpec, StopSpec
-from palpate.workers.organs.breast.keys.model import ModelSpec
-from palpate.workers.organs.breast.spec import BreastScore
-from palpate.workers.organs.specimen.keys.bodies import BodySpec, CircleSpec, RegionSpec, SheetSpec
-from palpate.workers.organs.specimen.keys.loads import LoadsSpec
-from palpate.workers.organs.specimen.keys.materials import MaterialSpec
+from palpate.service.search.search_keys import PriorSpec, SearchSpec, StopSpec
+from palpate.workers.organs.breast.breast_keys import BreastScore, ModelSpec
+from palpate.workers.organs.specimen.specimen_keys import (
+    BodySpec,
+    CircleSpec,
+    LoadsSpec,
+    MaterialSpec,
+    RegionSpec,
+    SheetSpec,
+)
 
 SEARCH = {"parameters": {"E_fat_kpa": (5, 20)}}
 BOX = {"box_mm": (1, 2, 3)}

@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-from palpate.workers.mechanics.effects.base import Effect, Values, two_sided
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
-from palpate.workers.mechanics.fem.problem.fields import Frame
-from palpate.workers.units import NUMBER
+from palpate.workers.mechanics.effects.effect import Effect, Values, two_sided
+from palpate.workers.mechanics.fem.boundary_value_problem import Frame, Problem
+from palpate.workers.mechanics.model_parameters import NUMBER
 
 NAME = "side_weight"
 PLAUSIBLE_G = 0.1

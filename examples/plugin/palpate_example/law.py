@@ -6,11 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.storage.values import FloatArray
-from palpate.workers.mechanics.materials.base import Isochoric
-from palpate.workers.mechanics.materials.invariants import shape_of, stress, tangent_of_first
+from palpate.workers.mechanics.materials.elastic_law import (
+    Isochoric,
+    shape_of,
+    stress,
+    tangent_of_first,
+)
 from palpate.workers.mechanics.materials.law_plugins import LawPlugin
-from palpate.workers.mechanics.parameters import Parameter
-from palpate.workers.units import NUMBER
+from palpate.workers.mechanics.model_parameters import NUMBER, Parameter
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +40,7 @@ class Gent:
         return self.mu_mpa
 
     def energy(self, F: FloatArray) -> FloatArray:
-        """Return the energy, see `palpate.workers.mechanics.materials.base.Law.energy`."""
+        """Return the energy, see `palpate.workers.mechanics.materials.elastic_law.Law.energy`."""
         x = shape_of(F).I1 - 3
         if self.lock == 0:
             return self.mu_mpa / 2 * x

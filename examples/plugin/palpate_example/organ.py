@@ -3,11 +3,10 @@
 from dataclasses import replace
 from typing import Literal
 
-from palpate.workers.organs.breast.keys.model import MeshSpec
-from palpate.workers.organs.breast.organ import Breast
-from palpate.workers.organs.breast.organ_spec import SPEC as BREAST_SPEC
-from palpate.workers.organs.breast.spec import BreastCase
-from palpate.workers.organs.plugin import Fact, OrganPlugin
+from palpate.workers.organs.breast.breast_keys import SPEC as BREAST_SPEC
+from palpate.workers.organs.breast.breast_keys import BreastCase, MeshSpec
+from palpate.workers.organs.breast.breast_organ import Breast
+from palpate.workers.organs.organ_plugins import Fact, OrganPlugin
 
 
 class GelCase(BreastCase):
@@ -30,7 +29,7 @@ GEL = OrganPlugin(
     name="gel",
     spec="palpate_example.organ:SPEC",
     organ="palpate_example.organ:ORGAN",
-    effects="palpate.workers.organs.breast.effects:CATALOGUE",
+    effects="palpate.workers.organs.breast.breast_effects:CATALOGUE",
     load_direction="The plates press along y.",
     facts=(Fact("Gel", "volume_ml", "ml"), Fact("Nodes of the mesh", "nodes")),
     templates={"gel": "palpate_example:gel.yaml"},

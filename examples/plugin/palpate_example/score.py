@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from palpate import Tissue, Volume
-from palpate.workers.comparison.similarity.objective import Objective
+from palpate.storage.values import Tissue
+from palpate.volumes import Volume
+from palpate.workers.comparison.score_objective import Objective
 
 
 def distance_to(target: Volume) -> Callable[[Volume], float]:

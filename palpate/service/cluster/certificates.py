@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from palpate.storage.backends.atomic import explained, publishing
+from palpate.storage.backends.atomic_files import explained, publishing
 from palpate.storage.errors import InputError
 
 if TYPE_CHECKING:

@@ -2,12 +2,11 @@
 
 from pathlib import Path
 
-from palpate.service.commands.settings import RUNS
-from palpate.service.study.case_file import NamedCase, read_case
-from palpate.service.study.spec import StudySpec, read_spec
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.commands.command_line import RUNS
+from palpate.service.study.study_keys import NamedCase, StudySpec, read_case, read_spec
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError
-from palpate.workers.spec import CaseSpec
+from palpate.workers.common_keys import CaseSpec
 
 
 def find_study(given: Path | None) -> Path:

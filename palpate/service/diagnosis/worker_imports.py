@@ -1,4 +1,4 @@
-"""Imports of diagnosis workers before their first task; see `service.cluster.fork_server`.
+"""Imports of diagnosis workers before their first task; see `service.cluster.worker_startup`.
 
 Imports take 1.2 s, the digest of their code 0.2 s, and the first kernel of any
 kind 0.25 s, when numba sets up its compiler.
@@ -6,8 +6,8 @@ kind 0.25 s, when numba sets up its compiler.
 
 import numpy as np
 
-import palpate.workers.tasks.diagnosis  # noqa: F401
-from palpate.workers.body.mesh.incidence import elements_of_nodes
+import palpate.workers.tasks.diagnosis_tasks  # noqa: F401
+from palpate.workers.body.mesh.mesh_geometry import elements_of_nodes
 from palpate.workers.tasks.diagnosis_store import diagnosis_code
 
 diagnosis_code("scanned case")

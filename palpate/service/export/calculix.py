@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from palpate.service.export.solver_model import Material, SolverModel
-from palpate.storage.backends.atomic import explained, write_file
+from palpate.storage.backends.atomic_files import explained, write_file
 
 # In exp(k2 x^2): so small that the law is quadratic.
 K2 = 1e-4

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from palpate.service.export.solver_model import Fibres, Material, SolverModel
-from palpate.storage.backends.atomic import explained, write_file
+from palpate.storage.backends.atomic_files import explained, write_file
 
 STEPS = 10
 # U(J) = k/2 (J - 1)^2, FEBio's third pressure model.
@@ -107,15 +107,15 @@ def _materials(root: Xml.Element, model: SolverModel) -> None:
     for number, material in enumerate(model.materials, 1):
         mixed = model.isochoric_fibre and bool(material.fibres)
         kind = "uncoupled solid mixture" if mixed else "Mooney-Rivlin"
-        one = _add(section, "material", id=number, name=material.name, type=kind)
-        _add(one, "k", material.kappa_mpa)
-        _add(one, "pressure_model", PRESSURE_MODEL)
-        _matrix(_add(one, "solid", type="Mooney-Rivlin") if mixed else one, material)
+        element = _add(section, "material", id=number, name=material.name, type=kind)
+        _add(element, "k", material.kappa_mpa)
+        _add(element, "pressure_model", PRESSURE_MODEL)
+        _matrix(_add(element, "solid", type="Mooney-Rivlin") if mixed else element, material)
         for fibres in material.fibres if mixed else ():
-            _fibre_law(_add(one, "solid", type="fiber-exp-pow-uncoupled"), fibres)
+            _fibre_law(_add(element, "solid", type="fiber-exp-pow-uncoupled"), fibres)
     for number, (name, fibres) in enumerate(_layers(model), len(model.materials) + 1):
-        one = _add(section, "material", id=number, name=name, type="fiber-exp-pow")
-        _fibre_law(one, fibres)
+        element = _add(section, "material", id=number, name=name, type="fiber-exp-pow")
+        _fibre_law(element, fibres)
 
 
 def _layers(model: SolverModel) -> Iterator[tuple[str, Fibres]]:

@@ -10,15 +10,14 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 
-from palpate.service.export.solved_body import SolvedBody
-from palpate.service.export.time_series import NOTE, rest_of
-from palpate.storage.backends.atomic import explained, replacing
+from palpate.service.export.solved_mesh_files import SERIES_NOTE, SolvedBody, rest_of
+from palpate.storage.backends.atomic_files import explained, replacing
 from palpate.storage.values import FloatArray
-from palpate.workers.body.mesh.boundary import boundary_triangles
+from palpate.workers.body.mesh.mesh_geometry import boundary_triangles
 
 FRAMES, HELD, PER_SECOND = 16, 6, 8
 SIZE_IN, DPI = (5.6, 4.4), 100
-# As on the pages, which exports do not depend on: `palpate.service.report.drawing.palette`.
+# As on the pages, which exports do not depend on: `palpate.service.report.drawing.colours`.
 COLOURS = ("#d9d4c7", "#e5b567", "#cf6f3a", "#9b2f58", "#43155e")
 PLATE = "#4d7fa8"
 # The view used on the pages: plates press along y, which points up.
@@ -65,7 +64,7 @@ class _Scene:
         self.axes = self.figure.add_subplot()
         bar = ScalarMappable(self.norm, self.colours)
         self.figure.colorbar(bar, ax=self.axes, label="displacement, mm", shrink=0.8)
-        self.figure.supxlabel(f"{body.title}\n{NOTE}", fontsize=8)
+        self.figure.supxlabel(f"{body.title}\n{SERIES_NOTE}", fontsize=8)
         seen = np.concatenate([self._at(share)[0] for share in (0.0, 1.0)])
         if self.axis is not None:
             ends = [self._plates(self.rest + s * self.displacement_mm) for s in (0.0, 1.0)]

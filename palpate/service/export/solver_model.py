@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palpate.service.export.solved_body import SolvedBody
+from palpate.service.export.solved_mesh_files import SolvedBody
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, IntArray, Tissue
-from palpate.workers.mechanics.fem.elements.element_energy import deformation_gradients
-from palpate.workers.mechanics.fem.elements.external_forces import stated_springs
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.element_energy import deformation_gradients
+from palpate.workers.mechanics.fem.external_forces import stated_springs
 
 # With more materials than this, constants are rounded to fewer digits.
 MOST_MATERIALS = 300
@@ -126,10 +126,10 @@ def comparable(problem: Problem) -> Problem:
     """
     laws = {t.name.lower(): type(c.law).__name__ for t, c in problem.constants.items() if c.law}
     if laws:
-        found = ", ".join(f"{tissue}: {law}" for tissue, law in laws.items())
+        others = ", ".join(f"{tissue}: {law}" for tissue, law in laws.items())
         raise InputError(
             "Files for CalculiX and FEBio, and --comparable, need neo-Hookean tissue, but this "
-            f"model has other laws ({found}). Set case.model.law to neo-hookean, or export "
+            f"model has other laws ({others}). Set case.model.law to neo-hookean, or export "
             ".vtu, .stl or .nrrd."
         )
     constants = {t: replace(c, growth=1.0) for t, c in problem.constants.items()}

@@ -1,4 +1,4 @@
-r"""Identifiability of each constant of a model from an image.
+r"""Identifiability of each constant of a model, or only of ratios, from an image.
 
 With the residuals r of the best candidate, in units of their noise, and their derivatives J,
 the Gauss step leads to the constants that explain the image best, and the inverse of the
@@ -11,23 +11,96 @@ The factor s widens the intervals if the residual exceeds the noise. The mesh an
 errors widen them, too; see `service.results.error_budget`. An interval spans the intervals
 around the best candidate and around :math:`\delta` from there, so that it also covers the
 unfinished part of the search.
+
+Plates at a given distance determine only ratios of stiffnesses without a force.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Protocol
 
 import numpy as np
 
-from palpate.service.results.local_model import (
+from palpate.service.results.intervals import (
     Direction,
     LocalModel,
     OtherProblems,
     RelativeInterval,
     SearchedConstants,
 )
-from palpate.service.search.space import FloatArray
-from palpate.storage.records.tasks import FitJson
+from palpate.service.results.quotability_rule import IdentifiedAs
+from palpate.service.search.search_interface import FloatArray
+from palpate.storage.values import FitJson
+
+STIFFNESS_UNITS = ("kPa", "Pa")
+
+
+class Estimate(Protocol):
+    """The part of a `service.results.result_records.ParameterEstimate` used here."""
+
+    @property
+    def unit(self) -> str:
+        """Return the unit of the numbers."""
+
+    @property
+    def estimate(self) -> float | None:
+        """Return the best value."""
+
+    @property
+    def target(self) -> float | None:
+        """Return the true value of a simulated target."""
+
+
+@dataclass(frozen=True)
+class RatioEstimate:
+    """The ratio of two stiffnesses.
+
+    Parameters
+    ----------
+    numerator, denominator : str
+        Internal names, such as ``E_glandular`` and ``E_fat``.
+    estimate, target : float or None
+        As in a `ParameterEstimate`.
+    """
+
+    numerator: str
+    denominator: str
+    estimate: float | None
+    target: float | None
+
+    @property
+    def name(self) -> str:
+        """Return ``E_glandular / E_fat``."""
+        return f"{self.numerator} / {self.denominator}"
+
+    @property
+    def relative_error(self) -> float | None:
+        """Return ``|estimate - target| / target``; None if either is unknown."""
+        if self.estimate is None or not self.target:
+            return None
+        return abs(self.estimate - self.target) / self.target
+
+
+def ratio_estimates(estimates: Mapping[str, Estimate]) -> tuple[RatioEstimate, ...]:
+    """Return the ratios of the other stiffnesses to the first one that was searched."""
+    stiff = [(name, e) for name, e in estimates.items() if e.unit in STIFFNESS_UNITS]
+    if not stiff:
+        return ()
+    (base, below), *others = stiff
+    return tuple(
+        RatioEstimate(
+            name,
+            base,
+            _divided(e.estimate, below.estimate),
+            _divided(e.target, below.target),
+        )
+        for name, e in others
+    )
+
+
+def _divided(above: float | None, below: float | None) -> float | None:
+    return None if above is None or not below else above / below
+
 
 LEVEL = 0.9
 # A constant is weakly determined if its interval is wider than this fraction of its value.
@@ -37,8 +110,6 @@ FEWEST_CANDIDATES = 5
 # Above this correlation, the value of one constant depends on that of another.
 DEPENDENT = 0.3
 TANGENTS, SCATTER = "tangents", "scatter of equally good candidates"
-
-Identifiable = Literal["value", "ratio", "weak", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -90,7 +161,7 @@ class IdentifiedConstant:
     estimate: float
     unit: str
     interval: Interval | None
-    identifiable: Identifiable
+    identifiable: IdentifiedAs
     errors: Mapping[str, float] = field(default_factory=dict)
     depends_on: tuple[str, ...] = ()
     prior_share: float = 0.0
@@ -114,7 +185,7 @@ class IdentifiedRatio:
     denominator: str
     estimate: float
     interval: Interval | None
-    identifiable: Identifiable
+    identifiable: IdentifiedAs
 
 
 @dataclass(frozen=True)
@@ -212,7 +283,7 @@ def identification_from_tangents(
         noise_factor=local.noise_factor,
         converged=local.converged,
         supported=local.supported,
-        derived={one["name"]: _interval_of(local, one) for one in derived},
+        derived={quantity["name"]: _interval_of(local, quantity) for quantity in derived},
     )
 
 
@@ -278,7 +349,7 @@ def _judged(
         return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "unknown")
     low, high = np.clip(ends, *parameter.admissible)
     lower, upper = searched.at_door(name, float(low)), searched.at_door(name, float(high))
-    verdict: Identifiable = "weak" if upper - lower > WEAK_PART * abs(estimate) else "value"
+    verdict: IdentifiedAs = "weak" if upper - lower > WEAK_PART * abs(estimate) else "value"
     interval = Interval(lower, upper, LEVEL, origin)
     return IdentifiedConstant(name, estimate, parameter.unit.symbol, interval, verdict)
 
@@ -286,12 +357,12 @@ def _judged(
 def _ratios(local: LocalModel) -> list[IdentifiedRatio]:
     """Return the ratios of constants with an unknown common scale to the first of them."""
     common = [i for i in range(len(local.names)) if local.common[i] and local.logarithmic[i]]
-    found = []
+    ratios = []
     for i in common[1:]:
         j = common[0]
         lower, upper = local.ratio_ends(i, j)
         estimate = float(local.values[i] / local.values[j])
-        verdict: Identifiable = "weak" if upper - lower > WEAK_PART * estimate else "value"
+        verdict: IdentifiedAs = "weak" if upper - lower > WEAK_PART * estimate else "value"
         interval = Interval(lower, upper, LEVEL, TANGENTS)
-        found.append(IdentifiedRatio(local.names[i], local.names[j], estimate, interval, verdict))
-    return found
+        ratios.append(IdentifiedRatio(local.names[i], local.names[j], estimate, interval, verdict))
+    return ratios

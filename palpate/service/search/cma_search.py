@@ -10,10 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from palpate.service.search.base import Generation, Proposal, Stopped
-from palpate.service.search.log_space import LogSpace
-from palpate.service.search.space import FloatArray, Space
-from palpate.service.search.stall import Stall
+from palpate.service.search.search_interface import (
+    FloatArray,
+    Generation,
+    LogSpace,
+    Proposal,
+    Space,
+    Stall,
+    Stopped,
+)
 
 FIRST_SIGMA = 0.3
 # CMA-ES keeps no elite: in small populations its best score can stay the same for many

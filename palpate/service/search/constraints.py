@@ -6,8 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from palpate.service.search.base import Generation, Proposal, Search, Stopped
-from palpate.service.search.space import FloatArray, Space
+from palpate.service.search.search_interface import (
+    FloatArray,
+    Generation,
+    Proposal,
+    Search,
+    Space,
+    Stopped,
+)
 from palpate.storage.errors import InputError
 
 _FORM = re.compile(
@@ -42,15 +48,15 @@ class Constraint:
         >>> Constraint.parse("E_fat_kpa < E_glandular_kpa")
         Constraint(larger='E_glandular_kpa', smaller='E_fat_kpa', factor=1.0)
         """
-        found = _FORM.fullmatch(text)
-        if found is None:
+        match = _FORM.fullmatch(text)
+        if match is None:
             raise InputError(
                 f"constraints: expected NAME > NAME or NAME > NUMBER * NAME, found {text!r}"
             )
-        left, right, factor = found["left"], found["right"], float(found["factor"] or 1.0)
+        left, right, factor = match["left"], match["right"], float(match["factor"] or 1.0)
         if factor == 0 or left == right:
             raise InputError(f"constraints: {text!r} does not compare two parameters")
-        if found["sign"].startswith(">"):
+        if match["sign"].startswith(">"):
             return cls(left, right, factor)
         return cls(right, left, 1.0 / factor)
 
@@ -94,17 +100,17 @@ class Constraints:
         The inequalities and the bounds are enforced in turn; each moves violating candidates
         to its boundary by the shortest path. Feasible candidates are not changed.
         """
-        found, span2 = np.array(genes, np.float64), self.space.span**2
+        candidates, span2 = np.array(genes, np.float64), self.space.span**2
         for _ in range(MOST_ROUNDS):
-            if self.are_met(found).all():
+            if self.are_met(candidates).all():
                 break
             for a, b, f in self._rows:
-                lack = np.maximum(f * found[:, b] - found[:, a], 0.0)
+                lack = np.maximum(f * candidates[:, b] - candidates[:, a], 0.0)
                 step = lack / (span2[a] + f**2 * span2[b])
-                found[:, a] += step * span2[a]
-                found[:, b] -= step * f * span2[b]
-            found = np.clip(found, self.space.lower, self.space.upper)
-        return found
+                candidates[:, a] += step * span2[a]
+                candidates[:, b] -= step * f * span2[b]
+            candidates = np.clip(candidates, self.space.lower, self.space.upper)
+        return candidates
 
 
 class ConstrainedSearch:

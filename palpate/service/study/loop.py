@@ -4,6 +4,10 @@ Running a study and resuming it are the same: the journal has the candidates tha
 the search repeats its earlier proposals, and candidates without an ending are evaluated.
 Scores are passed to the search in the order of the candidates, so neither the number of
 workers nor an interruption changes the next proposal.
+
+At the end of a study further evaluations reveal errors in its estimates other than noise. The best
+candidate is evaluated once more with derivatives with respect to the nuisance parameters of its
+organ, and once on a mesh of another size. `results.identification` uses both for the intervals.
 """
 
 import time
@@ -13,40 +17,85 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from palpate.service.cluster.dispatch import TaskRunner
-from palpate.service.search.base import Generation, Stopped
-from palpate.service.study.error_sources import Lost, mesh_fits, nuisance_fit
-from palpate.service.study.evaluations import EvaluationRun
-from palpate.service.study.folder import StudyFolder
-from palpate.service.study.log import StudyLog
-from palpate.service.study.observers.hooks import Hooks, Observer, StudyFacts
-from palpate.service.study.plugin_use import require_plugins, used_plugins
-from palpate.service.study.replay import PendingGeneration, SearchReplay
-from palpate.service.study.requests import StudyWork, Tasks
-from palpate.service.study.spec import StudySpec
-from palpate.service.study.steady import SteadyRun
-from palpate.service.study.steady_replay import replayed
-from palpate.service.versions import versions
-from palpate.storage.backends.atomic import write_file
-from palpate.storage.backends.places import Location, place_of
-from palpate.storage.plain import dumps, to_plain
-from palpate.storage.records.best_candidate import best_of
-from palpate.storage.records.journal import Journal
-from palpate.storage.records.record import (
+from palpate.service.cluster.task_dispatch import TaskRunner
+from palpate.service.installed_packages import versions
+from palpate.service.search.search_interface import Generation, Stopped
+from palpate.service.study.candidate_evaluation import EvaluationRun, SteadyRun
+from palpate.service.study.preflight import require_plugins, used_plugins
+from palpate.service.study.search_replay import PendingGeneration, SearchReplay, replayed
+from palpate.service.study.study_events import Hooks, Observer, StudyFacts
+from palpate.service.study.study_folder import StudyFolder, StudyLog
+from palpate.service.study.study_keys import StudySpec
+from palpate.service.study.task_requests import StudyWork, Tasks
+from palpate.storage.backends.atomic_files import write_file
+from palpate.storage.backends.store_paths import Location, place_of
+from palpate.storage.errors import PalpateError
+from palpate.storage.journal import Journal
+from palpate.storage.journal_records import (
     EndRecord,
     EvaluationRecord,
     GenerationRecord,
     IdentificationRecord,
     ProposalRecord,
     SessionRecord,
+    best_of,
 )
-from palpate.storage.records.seal import seal
-from palpate.storage.records.tasks import FitJson
-from palpate.storage.stores.store import Store, open_store
-from palpate.workers.organs.organ_spec import no_derivatives
-from palpate.workers.organs.registry import organ_spec
+from palpate.storage.json_digests import dumps, seal, to_plain
+from palpate.storage.store import Store, open_store
+from palpate.storage.values import EvaluationRequest, FitJson, MeshFit
+from palpate.workers.organs.organ_plugins import organ_spec
+from palpate.workers.organs.organ_protocol import no_derivatives
 
-__all__ = ["Conclusion", "Study", "Tasks"]
+# Ratio of the nodes of the other mesh to the study's own.
+NODE_RATIO = 3.0
+# Above this number of nodes the other mesh is coarser.
+MOST_NODES = 150_000
+
+
+class Lost(Exception):  # noqa: N818 - the study ends without it, and the next run tries again
+    """An evaluation that was lost with its workers."""
+
+
+def nuisance_fit(best: EvaluationRecord, evaluation: EvaluationRun) -> FitJson | None:
+    """Return the least-squares problem of the best candidate with the nuisance parameters.
+
+    Raises
+    ------
+    Lost
+        If the evaluation was lost with its workers.
+    """
+    request = evaluation.work.nuisances_request(best.genes)
+    return None if request is None else _error_fit(evaluation, request)
+
+
+def mesh_fits(best: EvaluationRecord, evaluation: EvaluationRun) -> list[MeshFit]:
+    """Return the least-squares problem of the best candidate on another mesh, if there is one.
+
+    Raises
+    ------
+    Lost
+        If the evaluation was lost with its workers.
+    """
+    nodes = evaluation.work.resolution(None).body["facts"].get("nodes")
+    if nodes is None:
+        return []
+    ratio = NODE_RATIO if NODE_RATIO * nodes <= MOST_NODES else 1 / NODE_RATIO
+    try:
+        request, facts = evaluation.work.on_other_mesh(best.genes, round(ratio * nodes))
+    except PalpateError:  # this body has no other mesh
+        return []
+    fit = _error_fit(evaluation, request)
+    return [] if fit is None else [MeshFit(nodes=int(facts["nodes"]), fit=fit)]
+
+
+def _error_fit(evaluation: EvaluationRun, request: EvaluationRequest) -> FitJson | None:
+    work = evaluation.work
+    calls = [(request["digest"], work.arguments(request))]
+    (ending,) = evaluation.dispatcher.run(work.evaluate, calls)
+    if ending.kind == "lost":
+        raise Lost
+    fit: FitJson | None = (ending.value or {}).get("fit")
+    return fit
 
 
 @dataclass(frozen=True)
@@ -272,11 +321,11 @@ class _Run:
             return EndRecord(stopped.reason, None, None, {}, {}, self._elapsed_s())
         evaluation.make_volumes([best.candidate])
         work = evaluation.work
-        at = work.resolution(best.level)
-        before = work.compare_with_target(at, at.body["volume"])
-        after = work.compare_with_target(at, best.digest)
-        found = evaluation.findings(best.candidate)
-        write_file(self.study.folder.layout.findings, seal(dumps(to_plain(found))).encode())
+        resolution = work.resolution(best.level)
+        before = work.compare_with_target(resolution, resolution.body["volume"])
+        after = work.compare_with_target(resolution, best.digest)
+        findings = evaluation.findings(best.candidate)
+        write_file(self.study.folder.layout.findings, seal(dumps(to_plain(findings))).encode())
         reason, elapsed_s = stopped.reason, self._elapsed_s()
         return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)
 

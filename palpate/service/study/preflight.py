@@ -1,22 +1,68 @@
-"""Plausibility checks of a study before its first task.
+"""Checks of a study before its first task: its plug-ins on the workers, and plausibility.
+
+Workers must have the plug-ins of other distributions that the study uses.
 
 An implausible study is rejected, with all reasons, unless the user insists; an unusual one runs
 with a warning.
 """
 
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from palpate.service.formatting import listed, number
-from palpate.service.search.strategies import strategy_named
-from palpate.service.study.spec import StudySpec
-from palpate.storage.backends.places import Place, place_of
-from palpate.workers.mechanics.parameters import Bounds, Parameter
-from palpate.workers.organs.study_checks import Finding, accept, refused
-from palpate.workers.spec import validated
-from palpate.workers.tasks.study_checks import study_findings
+from palpate.service.errors_and_interrupts import ClusterError
+from palpate.service.number_formatting import listed, number
+from palpate.service.search.search_keys import strategy_named
+from palpate.service.study.study_keys import StudySpec
+from palpate.storage.backends.store_paths import Place, place_of
+from palpate.workers.common_keys import validated
+from palpate.workers.mechanics.effects.effect import plugins_of_parameters
+from palpate.workers.mechanics.model_parameters import Bounds, Parameter
+from palpate.workers.organs.plausibility_rule import Finding, accept, refused
+from palpate.workers.plugins import Plugin, lacking_plugins, plugin
+from palpate.workers.tasks.plausibility import study_findings
+
+
+def used_plugins(spec: StudySpec) -> list[Plugin]:
+    """Return the plug-ins that evaluations of a study need, except Palpate's own."""
+    parameters = spec.case.parameters
+    stated = (*spec.search.parameters, *spec.case.constants, *(spec.target.constants or {}))
+    names = {parameters.at_door(name).name for name in stated}
+    used = [
+        plugin("organs", spec.case.organ),
+        plugin("scores", spec.score.objective),
+        *plugins_of_parameters(names),
+    ]
+    return [one for one in used if not one.is_own]
+
+
+class Everywhere(Protocol):
+    """An object that can run a task on each worker, such as a `Dispatcher`."""
+
+    def everywhere(self, task: Callable[..., Any], *arguments: Any) -> dict[str, Any]:
+        """Run one task on each current worker and return the records by worker address."""
+
+
+def require_plugins(dispatcher: Everywhere, wanted: Iterable[Plugin]) -> None:
+    """Check that every worker has the given plug-ins, before any work starts.
+
+    Raises
+    ------
+    ClusterError
+        If a worker lacks one; the message names each worker and what it lacks.
+    """
+    used = list(wanted)
+    if not used:
+        return
+    missing = dispatcher.everywhere(lacking_plugins, used)
+    lacking = [f"the worker {where} {text}" for where, texts in missing.items() for text in texts]
+    if lacking:
+        raise ClusterError(
+            f"{'; '.join(lacking)}. Install the same distributions on every worker; "
+            "`palpate doctor` lists the plug-ins of each."
+        )
+
 
 # An interval that differs by this factor is in another unit: kPa instead of Pa or MPa.
 OTHER_UNIT = 30.0
@@ -51,7 +97,7 @@ def preflight(
     Returns
     -------
     list of Finding
-        Remarks for the user. `workers.organs.study_checks.caveats_of` returns the statements
+        Remarks for the user. `workers.organs.plausibility_rule.caveats_of` returns the statements
         that belong in the record of a study that was run anyway.
 
     Raises

@@ -5,12 +5,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from palpate.service.study.log import read_study
-from palpate.storage.backends.layout import StudyLayout
-from palpate.storage.backends.places import Place
+from palpate.service.study.study_folder import read_study
+from palpate.storage.backends.store_paths import Place, StudyLayout
 from palpate.storage.errors import InputError, StoreError
-from palpate.storage.stores.store import Store
-from palpate.storage.stores.volumes import named_volumes, volume_meta
+from palpate.storage.store import Store
+from palpate.storage.stored_arrays import named_volumes, volume_meta
 
 DAY_S = 86_400.0
 

@@ -2,7 +2,7 @@
 
 from importlib import resources
 
-from palpate.workers.organs.registry import organ_names, organ_plugin
+from palpate.workers.organs.organ_plugins import organ_names, organ_plugin
 
 # What `palpate diagnose` takes; the other files are studies of an organ.
 DIAGNOSED = ("diagnosis", "experiment")

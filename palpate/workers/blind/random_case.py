@@ -9,29 +9,33 @@ from typing import Any, Final
 import numpy as np
 
 from palpate.storage.errors import InputError
-from palpate.workers.blind.causes.base import Cause, log_uniform
-from palpate.workers.blind.causes.boundary import (
+from palpate.workers.blind.breast_scene import Anatomy, Cause, Constants, Scene, log_uniform
+from palpate.workers.blind.case_deviations import Deviations, World, draw_deviations
+from palpate.workers.blind.setup_causes import (
     Adhesion,
+    BentPlate,
     Friction,
+    Gravity,
+    ImageScale,
+    PlateForce,
+    Segmentation,
+    ShortPlate,
     Tether,
+    Tilt,
     WallCompliance,
     WallRise,
 )
-from palpate.workers.blind.causes.growth import Oedema, Swelling
-from palpate.workers.blind.causes.loading import Gravity, PlateForce
-from palpate.workers.blind.causes.local import Inclusion, Ligament
-from palpate.workers.blind.causes.material import (
+from palpate.workers.blind.tissue_causes import (
     FibreContrast,
     Fibres,
     Gradient,
+    Inclusion,
+    Ligament,
+    Oedema,
     SkinSheet,
     Stiffening,
+    Swelling,
 )
-from palpate.workers.blind.causes.observation import ImageScale, Segmentation
-from palpate.workers.blind.causes.plates import BentPlate, ShortPlate, Tilt
-from palpate.workers.blind.deviations import Deviations, draw_deviations
-from palpate.workers.blind.scene import Anatomy, Constants, Scene
-from palpate.workers.blind.world import World
 
 SINGLES: Final[tuple[type[Cause], ...]] = (
     Gravity,

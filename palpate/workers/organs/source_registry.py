@@ -11,14 +11,19 @@ from typing import Protocol
 from palpate.storage.errors import InputError, StoreError
 from palpate.storage.values import Volume
 from palpate.workers import plugins
-from palpate.workers.diagnosis.outcome.source import (
+from palpate.workers.diagnosis.outcome.diagnosis_source import (
     FinishedStudy,
     PlannedSource,
     Source,
     SourceContent,
 )
-from palpate.workers.organs.plugin import SourcePlugin, module_of, resolve
-from palpate.workers.organs.registry import organ_names, organ_plugin
+from palpate.workers.organs.organ_plugins import (
+    SourcePlugin,
+    module_of,
+    organ_names,
+    organ_plugin,
+    resolve,
+)
 
 
 class Reader(Protocol):

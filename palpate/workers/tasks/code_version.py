@@ -13,7 +13,7 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
-from palpate.storage.digest import digest, file_digest
+from palpate.storage.json_digests import digest, file_digest
 from palpate.workers.plugins import foreign_plugins
 
 PACKAGES = ("palpate.workers", "palpate.storage")
@@ -27,7 +27,7 @@ def code_version(*modules: str) -> str:
     Parameters
     ----------
     *modules : str
-        Dotted names, such as ``"palpate.workers.tasks.evaluation"``. For a plug-in, its whole
+        Dotted names, such as ``"palpate.workers.tasks.study_tasks"``. For a plug-in, its whole
         top-level package counts as far as it is imported, as does the version of its distribution.
 
     Returns
@@ -142,17 +142,17 @@ def _import_statements(file: Path) -> list[tuple[int, str, tuple[str, ...]]]:
 
 def _imports_of(code: CodeType) -> dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]]:
     """Return the import statements of one code object, keyed by their position in the file."""
-    found: dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]] = {}
+    imports: dict[tuple[int, int, str], tuple[int, str, tuple[str, ...]]] = {}
     level: Any = 0  # with `members`, the two constants loaded before the import
     members: Any = None
     for step in dis.get_instructions(code):
         if step.opname == "IMPORT_NAME":
             where = step.positions
             line, column = (where.lineno, where.col_offset) if where else (0, 0)
-            found[line or 0, column or 0, step.argval] = level, step.argval, members or ()
+            imports[line or 0, column or 0, step.argval] = level, step.argval, members or ()
         elif step.opname != "EXTENDED_ARG":
             level, members = members, step.argval
-    return found
+    return imports
 
 
 def _absolute(level: int, base: str, module: str, file: Path) -> str:

@@ -2,13 +2,15 @@
 
 ::
 
-    source         the scans or measurements; see `workers.tasks.sources`
+    source         the scans or measurements; see `workers.tasks.diagnosis_sources`
     preparation    points, body, distances; see `workers.diagnosis.problem.preparation`
     calibration    points kept, noise, constants, derivatives
     sensitivity    columns of one effect in one scan
     joint fit      some effects fitted with the constants
     reading        noise, constants and derivatives, estimated at the points of a joint fit
     outcome        the summary, and residuals on the interfaces
+
+The learnt noise of a calibration is converted to arrays and back.
 
 Each process builds the mesh once from the source and the preparations. A process that works alone
 makes the preparations itself and does not store them. Every process solves the nominal equilibria
@@ -22,29 +24,92 @@ from typing import TypeVar
 
 import numpy as np
 
-from palpate.storage.digest import digest
 from palpate.storage.errors import StoreError
-from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
+from palpate.storage.json_digests import digest
+from palpate.storage.stored_arrays import Arrays
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis
+from palpate.workers.diagnosis.fits.effect_sensitivities import ScanSensitivity, joined_sensitivity
 from palpate.workers.diagnosis.fits.gauss_newton import Fit, SolvedFit
-from palpate.workers.diagnosis.fits.sensitivity_analysis import ScanSensitivity, joined_sensitivity
-from palpate.workers.diagnosis.outcome.source import PreparedSource, Source
+from palpate.workers.diagnosis.fits.nominal_calibration import with_anchored_scans
+from palpate.workers.diagnosis.linearisation import EffectSensitivity
+from palpate.workers.diagnosis.noise.noise_components import LearntNoise, NoiseParts, NoiseState
+from palpate.workers.diagnosis.noise.noise_learning import with_factors
+from palpate.workers.diagnosis.outcome.diagnosis_source import PreparedSource, Source
+from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
 from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, unknowns
-from palpate.workers.diagnosis.problem.preparation import Prepared
-from palpate.workers.diagnosis.problem.scan_poses import registered
-from palpate.workers.diagnosis.problem.scan_prediction import ComparedScan, predict_scan
-from palpate.workers.diagnosis.schema.summary import Summary
-from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
-from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.problem.prepared_parts import Prepared
+from palpate.workers.diagnosis.problem.scan_noise import (
+    noise_lengths,
+    stated_covariances,
+    with_pressed_points,
+)
+from palpate.workers.diagnosis.problem.scan_prediction import ComparedScan, predict_scan, registered
 from palpate.workers.diagnosis.verdict.joint_fit import JointFit
-from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.fem.elements.model import Model
-from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
+from palpate.workers.mechanics.effects.effect import Effect
+from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium
+from palpate.workers.mechanics.fem.discretisation import Model
 from palpate.workers.organs.source_registry import source_module
 from palpate.workers.plugins import foreign_plugins
 from palpate.workers.tasks.code_version import code_version
-from palpate.workers.tasks.learnt_noise import with_stored_noise
-from palpate.workers.tasks.sources import SourceName, stored_source
+from palpate.workers.tasks.diagnosis_sources import SourceName, stored_source
 from palpate.workers.tasks.task_store import Part, TaskStore
+
+
+def noise_arrays(inverse: InverseProblem) -> Arrays:
+    """Return the parts of the learnt noise not determined by the points and the given noise.
+
+    Raises
+    ------
+    ValueError
+        If the problem has not been calibrated.
+    """
+    learnt = inverse.learnt
+    if learnt is None:
+        raise ValueError("the noise is only known after the calibration")
+    anchors = {"noise_anchors": np.stack(inverse.anchors)} if inverse.anchors else {}
+    pressed = np.stack([inverse.followed(scan).pressed for scan in inverse.scans])
+    uneven = {} if learnt.parts.uneven is None else {"noise_uneven": learnt.parts.uneven}
+    return {
+        **anchors,
+        **uneven,
+        "noise_pressed": pressed,
+        "noise_fixed": learnt.parts.fixed,
+        "noise_numerical": learnt.parts.numerical,
+        "noise_state_lengths": np.array([s.length for s in learnt.states], np.int32),
+        "noise_state_scales": np.stack([s.scales for s in learnt.states]),
+        "noise_state_numerical": np.array([s.numerical for s in learnt.states]),
+        "noise_state_log_weights": np.array([s.log_weight for s in learnt.states]),
+        "noise_state_shares": np.array([s.share for s in learnt.states]),
+    }
+
+
+def with_stored_noise(inverse: InverseProblem, arrays: Arrays) -> InverseProblem:
+    """Return a problem, already reduced to its calibrated points, with its stored noise."""
+    inverse = with_pressed_points(inverse, list(arrays["noise_pressed"]))
+    parts = NoiseParts(
+        stated=stated_covariances(inverse),
+        lengths=noise_lengths(inverse),
+        groups=np.tile(inverse.points.interface, len(inverse.scans)),
+        fixed=arrays["noise_fixed"],
+        numerical=arrays["noise_numerical"],
+    )
+    if "noise_uneven" in arrays:
+        parts = with_factors(parts, arrays["noise_uneven"])
+    rows = zip(
+        arrays["noise_state_lengths"].tolist(),
+        arrays["noise_state_scales"],
+        arrays["noise_state_numerical"].tolist(),
+        arrays["noise_state_log_weights"].tolist(),
+        arrays["noise_state_shares"].tolist(),
+        strict=True,
+    )
+    learnt = LearntNoise(parts, tuple(NoiseState(*row) for row in rows))
+    known = replace(inverse, learnt=learnt, covariance=learnt.covariance)
+    return (
+        with_anchored_scans(known, list(arrays["noise_anchors"])) if inverse.is_segmented else known
+    )
+
 
 T = TypeVar("T")
 
@@ -58,7 +123,7 @@ class DiagnosisRequest:
     store : str
         Folder visible to all workers.
     source : SourceName
-        The source to diagnose; see `workers.tasks.sources.add_source`.
+        The source to diagnose; see `workers.tasks.diagnosis_sources.add_source`.
     nodes : int
         Number of nodes of the mesh.
     spacing_mm : float
@@ -141,7 +206,9 @@ def named(request: DiagnosisRequest) -> DiagnosisRequest:
 
 def diagnosis_code(kind: str) -> str:
     """Return a digest of all code that a diagnosis of this kind of source depends on."""
-    return code_version("palpate.workers.tasks.diagnosis", source_module(kind), *plugged_modules())
+    return code_version(
+        "palpate.workers.tasks.diagnosis_tasks", source_module(kind), *plugged_modules()
+    )
 
 
 def plugged_modules() -> list[str]:
@@ -224,7 +291,7 @@ class DiagnosisStore:
         return source.preparations if isinstance(source, PreparedSource) else ()
 
     def prepare(self, name: str) -> Prepared:
-        """Make a preparation, by its name in `workers.diagnosis.problem.preparation`."""
+        """Make a preparation, by its name in `workers.diagnosis.problem.prepared_parts`."""
         source = self.source
         if not isinstance(source, PreparedSource):
             raise KeyError(name)
@@ -292,7 +359,7 @@ class DiagnosisStore:
         if record.log_evidence is None:
             return None
         stacks = (arrays[key] for key in ("points", "residual", "normals"))
-        scans = tuple(ComparedScan(*one) for one in zip(*stacks, strict=True))
+        scans = tuple(ComparedScan(*slices) for slices in zip(*stacks, strict=True))
         fit = Fit(
             unknowns=unknowns(self.inverse.free, effects),
             z=arrays["z"],
@@ -352,7 +419,7 @@ class DiagnosisStore:
             predict_scan(inverse, scan, free, z, start)
             for scan, start in zip(inverse.scans, starts, strict=True)
         ]
-        solved = tuple(one for one in predicted if one is not None)
+        solved = tuple(prediction for prediction in predicted if prediction is not None)
         if len(solved) < len(predicted):
             raise StoreError(
                 "The calibrated constants were not solved again from rest. Remove "

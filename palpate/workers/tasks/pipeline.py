@@ -1,6 +1,6 @@
 """The stages of an evaluation: solve, deform, score.
 
-This module uses neither the store nor the cluster; `workers.tasks.evaluation` loads its inputs and
+This module uses neither the store nor the cluster; `workers.tasks.study_tasks` loads its inputs and
 saves its results.
 """
 
@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from palpate.storage.records.tasks import FitJson, FreeParameter
-from palpate.workers.comparison.similarity.objective import GSF, Measure, Objective
+from palpate.storage.values import FitJson, FreeParameter
+from palpate.workers.common_keys import CaseSpec
+from palpate.workers.comparison.score_objective import GSF, Measure, Objective
 from palpate.workers.organs.normal_equations import NormalEquations
-from palpate.workers.organs.organ import (
+from palpate.workers.organs.organ_protocol import (
     Organ,
     Residuals,
     Scorer,
@@ -24,7 +25,6 @@ from palpate.workers.organs.organ import (
     differentiable,
     logarithmic,
 )
-from palpate.workers.spec import CaseSpec
 
 
 @dataclass(frozen=True, eq=False)

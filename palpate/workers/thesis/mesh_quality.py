@@ -8,19 +8,24 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, TetMesh, Tissue, Volume
-from palpate.workers.body.mesh.adaptive.agreement import Agreement, agreement
-from palpate.workers.body.mesh.adaptive.nested import adaptive_hierarchy
-from palpate.workers.body.mesh.adaptive.sizing import Sizes
-from palpate.workers.body.mesh.adaptive.tetwild import tetwild_mesh
-from palpate.workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
-from palpate.workers.body.mesh.plane_section import PlaneSection, plane_section
-from palpate.workers.body.mesh.quality import measures, summarise
-from palpate.workers.thesis.phantoms import thesis_phantom, two_materials
-from palpate.workers.thesis.scale import Scale, check_scale
+from palpate.workers.body.mesh.adaptive_lattice import Sizes
+from palpate.workers.body.mesh.adaptive_mesher import adaptive_hierarchy
+from palpate.workers.body.mesh.mesh_geometry import measures, summarise
+from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy, build_hierarchy
+from palpate.workers.body.mesh.mesher_comparison import (
+    Agreement,
+    PlaneSection,
+    agreement,
+    plane_section,
+)
+from palpate.workers.thesis.phantom_compression import (
+    Scale,
+    check_scale,
+    thesis_phantom,
+    two_materials,
+)
 
-MeshKind = Literal[
-    "adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm", "homogeneous", "fTetWild"
-]
+MeshKind = Literal["adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm", "homogeneous"]
 KINDS: tuple[MeshKind, ...] = get_args(MeshKind)
 # Size of the smallest cells of each adaptive mesh in mm. The first resolves ligaments of 0.6 mm
 # between glandular compartments; edges range from half that size to 5 mm.
@@ -93,11 +98,10 @@ def mesh_of(materials: Volume, kind: MeshKind, scale: Scale = "reduced") -> Hier
     Raises
     ------
     InputError
-        If the kind is unknown, or has no coarser meshes.
+        If the kind is unknown.
     """
-    if kind not in KINDS or kind == "fTetWild":
-        known = ", ".join(k for k in KINDS if k != "fTetWild")
-        raise InputError(f"A mesh for the solver must be one of {known}; got {kind!r}.")
+    if kind not in KINDS:
+        raise InputError(f"A mesh must be one of {', '.join(KINDS)}; got {kind!r}.")
     if kind == "homogeneous":
         size = HOMOGENEOUS_CELL_MM * COARSER[scale]
         return build_hierarchy(materials, element_size_mm=size)
@@ -106,10 +110,10 @@ def mesh_of(materials: Volume, kind: MeshKind, scale: Scale = "reduced") -> Hier
     return adaptive_hierarchy(materials, Sizes(smallest, skin_mm=skin, largest_mm=largest))
 
 
-def kinds_at(scale: Scale, *, other_mesher: bool) -> tuple[MeshKind, ...]:
+def kinds_at(scale: Scale) -> tuple[MeshKind, ...]:
     """Return the kinds measured at a scale; the coarsest cells are too large for a sketch."""
     large = {"sketch": ("adaptive 2 mm", "adaptive 3 mm"), "reduced": (), "full": ()}[scale]
-    return tuple(k for k in KINDS if k not in large and (other_mesher or k != "fTetWild"))
+    return tuple(k for k in KINDS if k not in large)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +126,7 @@ class MadeMesh:
     inside : ndarray of bool, shape (tets,)
         True for glandular tetrahedra.
     materials : Volume
-        The phantom, see `workers.thesis.phantoms.two_materials`.
+        The phantom, see `workers.thesis.phantom_compression.two_materials`.
     seconds : float
         Processor time to make the mesh.
     """
@@ -153,19 +157,14 @@ def made_mesh(number: int, kind: MeshKind, scale: Scale = "reduced") -> MadeMesh
     Raises
     ------
     InputError
-        If the number, the kind or the scale is unknown, or the mesher is not installed.
+        If the number, the kind or the scale is unknown.
     """
     check_scale(scale)
     materials = two_materials(thesis_phantom(number, scale).labels)
     started = time.process_time()
-    if kind == "fTetWild":
-        size = SMALLEST_MM["adaptive 1 mm"] * COARSER[scale]
-        made = tetwild_mesh(materials, size)
-        mesh, inside = made.mesh, made.inside
-    else:
-        finest = mesh_of(materials, kind, scale).finest
-        mesh, inside = finest.mesh, finest.fractions[:, Tissue.GLANDULAR] > 0.5
-    return MadeMesh(mesh, inside, materials, time.process_time() - started)
+    finest = mesh_of(materials, kind, scale).finest
+    inside = finest.fractions[:, Tissue.GLANDULAR] > 0.5
+    return MadeMesh(finest.mesh, inside, materials, time.process_time() - started)
 
 
 def row_of(number: int, kind: MeshKind, made: MadeMesh) -> QualityRow:

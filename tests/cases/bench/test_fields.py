@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from palpate.service.diagnosis.progress import DiagnosisProgress
-from palpate.service.report.diagnosis.arrows import misfits_of
+from palpate.service.diagnosis.diagnosis_console import DiagnosisProgress
+from palpate.service.report.diagnosis.specimen_pictures import misfits_of
 from palpate.storage.errors import InputError
-from palpate.workers.diagnosis.fits.calibration import calibrate
+from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
 from palpate.workers.diagnosis.problem.inverse_problem import unknowns
-from palpate.workers.organs.specimen.effects import NOT_SIMULATED
 from palpate.workers.organs.specimen.experiment_files import read_experiment
-from palpate.workers.organs.specimen.force_balance import support_force_n, supported
-from palpate.workers.organs.specimen.plausibility import outside_intervals
-from palpate.workers.organs.specimen.prediction import unexplained_at, unexplained_sd
-from palpate.workers.organs.specimen.source import SpecimenSource
+from palpate.workers.organs.specimen.mesh_and_boundary_errors import support_force_n, supported
+from palpate.workers.organs.specimen.observed_and_predicted import unexplained_at, unexplained_sd
+from palpate.workers.organs.specimen.specimen_checks import outside_intervals
+from palpate.workers.organs.specimen.specimen_effects import NOT_SIMULATED
+from palpate.workers.organs.specimen.specimen_source import SpecimenSource
 from tests.cases.bench.bench_cases import FORCE_N, NU, SIZE, YOUNG_MPA, described, motion, write
 
 NODES = 500

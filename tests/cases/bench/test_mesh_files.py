@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.body.mesh.boundary import boundary_triangles
-from palpate.workers.organs.specimen.block import lattice
+from palpate.workers.body.mesh.mesh_geometry import boundary_triangles
+from palpate.workers.organs.specimen.block_lattice import lattice
 from palpate.workers.organs.specimen.experiment_files import read_experiment
-from palpate.workers.organs.specimen.readings.mesh_file import VOLUMES, read_mesh_file
-from palpate.workers.organs.specimen.spec import read_spec
+from palpate.workers.organs.specimen.mesh_file import VOLUMES, read_mesh_file
+from palpate.workers.organs.specimen.specimen_keys import read_spec
 from palpate.workers.organs.specimen.voxelised_mesh import body_of_file
 from tests.cases.bench.bench_cases import described, write
 

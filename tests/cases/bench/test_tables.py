@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.comparison.observation.lost_markers import without_lost
+from palpate.workers.comparison.observation.marker_tracking import without_lost
 from palpate.workers.comparison.observation.number_table import read_table
-from palpate.workers.diagnosis.fits.calibration import calibrate
+from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
 from palpate.workers.organs.specimen.experiment_files import read_experiment
-from palpate.workers.organs.specimen.plausibility import confirmed_scatter, outside_intervals
+from palpate.workers.organs.specimen.specimen_checks import confirmed_scatter, outside_intervals
 from tests.cases.bench.bench_cases import HEAD, MARKERS, YOUNG_MPA, described, motion, rows, text_of
 from tests.cases.bench.bench_cases import write as written
 

@@ -10,10 +10,10 @@ import yaml
 from palpate.storage.errors import InputError
 from palpate.workers.comparison.observation.number_table import read_table
 from palpate.workers.input_files import confined_to
-from palpate.workers.organs.cornea.frames.picture import read_picture
+from palpate.workers.organs.cornea.tonometer_frames import read_picture
 from palpate.workers.organs.specimen.experiment_files import read_experiment
-from palpate.workers.organs.specimen.readings.mesh_file import read_mesh_file
-from palpate.workers.tasks.sources import open_source
+from palpate.workers.organs.specimen.mesh_file import read_mesh_file
+from palpate.workers.tasks.diagnosis_sources import open_source
 from tests.cases.bench.bench_cases import described, write
 
 

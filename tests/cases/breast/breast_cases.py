@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from palpate.storage.values import Volume
-from palpate.workers.body.images.labels import crop_to_body
-from palpate.workers.body.phantom.breast import generate_breast
-from palpate.workers.body.phantom.settings import BreastPhantom
-from palpate.workers.organs.breast.organ import ORGAN
-from palpate.workers.organs.breast.plausibility.rigid_motion import RigidMotion, moved
-from palpate.workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget
-from palpate.workers.organs.breast.study_checks import BreastChecks
-from palpate.workers.organs.study_checks import Finding
+from palpate.workers.body.images.tissue_labels import crop_to_body
+from palpate.workers.body.phantom.phantom_generation import generate_breast
+from palpate.workers.body.phantom.phantom_settings import BreastPhantom
+from palpate.workers.organs.breast.breast_keys import BreastCase, BreastScore, BreastTarget
+from palpate.workers.organs.breast.breast_organ import ORGAN
+from palpate.workers.organs.breast.breast_study_checks import BreastChecks
+from palpate.workers.organs.breast.scan_alignment import RigidMotion, moved
+from palpate.workers.organs.plausibility_rule import Finding
 
 TRUE = {"E_fat_kpa": 10.0, "E_glandular_kpa": 40.0}
 SEARCHED = {"E_fat": (0.005, 0.020), "E_glandular": (0.005, 0.080)}

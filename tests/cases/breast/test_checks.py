@@ -13,10 +13,10 @@ from palpate.service.cli import app
 from palpate.service.export import export_volume
 from palpate.storage.errors import InputError
 from palpate.storage.values import Volume
-from palpate.workers.body.mesh.whole_body import mesh_whole_body
-from palpate.workers.organs.breast.organ import ORGAN
-from palpate.workers.organs.breast.plausibility.mirror_images import likeness
-from palpate.workers.organs.breast.plausibility.scan_facts import Scan
+from palpate.workers.body.mesh.mesh_hierarchy import mesh_whole_body
+from palpate.workers.organs.breast.breast_organ import ORGAN
+from palpate.workers.organs.breast.scan_facts import Scan
+from palpate.workers.organs.breast.scan_pair_checks import likeness
 from tests.cases.breast.breast_cases import (
     at_rest,
     findings,
@@ -63,11 +63,11 @@ def test_accepts_a_real_pair_of_breast_ct() -> None:
     folder = Path(__file__).parents[4] / "shared/data/breast_bct_niftysim"
     if not folder.is_dir():
         pytest.skip("shared/data/breast_bct_niftysim is not here")
-    from palpate.workers.body.images.labels import crop_to_body
-    from palpate.workers.body.images.read import read_volume
+    from palpate.workers.body.images.image_formats import read_volume_file
+    from palpate.workers.body.images.tissue_labels import crop_to_body
 
     files = "UncompressedBreast3_resampled.nrrd", "compressedPhantom3.nrrd"
-    rest, scan = (_coarser(crop_to_body(read_volume(folder / file)), 4) for file in files)
+    rest, scan = (_coarser(crop_to_body(read_volume_file(folder / file)), 4) for file in files)
     assert findings(rest, scan, {"plate_distance_mm": {"final": 65.07, "initial": 126.7}}) == []
     for axes in ("x", "y", "z", "xy", "yz"):
         assert "mirror image" in texts(
@@ -309,14 +309,14 @@ def test_plates_that_start_off_the_body_are_named(here: Path) -> None:
 
 
 def test_omitted_plates_start_at_the_body(here: Path) -> None:
-    from palpate.workers.organs.breast.case.files import read_case
+    from palpate.workers.organs.breast.scanned_case_files import read_case
 
     case = read_case(here / "case.yaml")
     assert case.plate_starts_mm(case.loads[0]) == pytest.approx((-50.0, 50.0))
 
 
 def test_case_is_aligned_if_its_file_requests_it(here: Path) -> None:
-    from palpate.workers.organs.breast.case.files import read_case
+    from palpate.workers.organs.breast.scanned_case_files import read_case
 
     write(here / "pressed.nrrd", shifted(usual_pair()[1], 9, -7, 20))
     (here / "case.yaml").write_text(DIAGNOSIS.replace("scans: {", "scans: {align: rigid, "))
@@ -328,7 +328,7 @@ def test_case_is_aligned_if_its_file_requests_it(here: Path) -> None:
 
 @pytest.mark.slow
 def test_results_with_anyway_start_with_the_reason(here: Path) -> None:
-    from palpate import Study
+    from palpate.study import Study
 
     write(here / "pressed.nrrd", shifted(usual_pair()[1], 0, 0, 6))
     refused = palpate("run", "study.yaml", "--workers", "1")

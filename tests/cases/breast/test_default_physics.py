@@ -7,27 +7,24 @@ import pytest
 import yaml
 
 from palpate.service.export import export_volume
-from palpate.service.study.spec import StudySpec
+from palpate.service.study.study_keys import StudySpec
 from palpate.service.templates import template
 from palpate.storage.values import Tissue, Volume
+from palpate.workers.blind.case_files import write_case
 from palpate.workers.blind.random_case import draw
-from palpate.workers.blind.write_case import write_case
-from palpate.workers.body.images.largest_component import in_air
-from palpate.workers.body.mesh.hierarchy import build_hierarchy
-from palpate.workers.comparison.warp.warp_volume import warp_labels
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
-from palpate.workers.mechanics.fem.problem.fields import Frame, frame_of
-from palpate.workers.mechanics.parameters import BREAST
-from palpate.workers.organs.breast.case.files import read_case, read_case_file
-from palpate.workers.organs.breast.case.scanned_case import ScannedCase
-from palpate.workers.organs.breast.case.source import PlannedCaseSource, ScannedCaseSource
-from palpate.workers.organs.breast.case.spec import CaseFile, CaseModel
-from palpate.workers.organs.breast.case.table import understood
-from palpate.workers.organs.breast.keys.model import ModelSpec
-from palpate.workers.organs.breast.spec import BreastCase
-from palpate.workers.organs.breast.study_source import StudyPieces, StudySource
+from palpate.workers.body.images.segmented_body import in_air
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
+from palpate.workers.comparison.warp_volume import warp_labels
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Frame, Problem, frame_of
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.mechanics.model_parameters import BREAST
+from palpate.workers.organs.breast.breast_keys import BreastCase, ModelSpec
+from palpate.workers.organs.breast.breast_study_source import StudyPieces, StudySource
+from palpate.workers.organs.breast.scanned_case import ScannedCase
+from palpate.workers.organs.breast.scanned_case_files import read_case, read_case_file, understood
+from palpate.workers.organs.breast.scanned_case_keys import CaseFile, CaseModel
+from palpate.workers.organs.breast.scanned_case_source import PlannedCaseSource, ScannedCaseSource
 from tests.cases.filled_templates import filled, required, small_breast
 from tests.workers.tasks.one_process import diagnosed_store, diagnosis_in
 

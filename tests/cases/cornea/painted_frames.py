@@ -8,11 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from palpate.workers.organs.cornea.mesh.deformed_section import deformed_section
-from palpate.workers.organs.cornea.mesh.section_mesh import mesh_section
-from palpate.workers.organs.cornea.section.generated import generated_section
-from palpate.workers.organs.cornea.section.outline import Section
-from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
+from palpate.workers.organs.cornea.section_mesh import deformed_section, mesh_section
+from palpate.workers.organs.cornea.section_outline import RigidMotion, Section, generated_section
 from tests.workers.organs.cornea.frames.generated_frame import generated_frame
 
 PIXEL_MM = (0.015625, 0.0165)

@@ -10,14 +10,13 @@ import pytest
 from PIL import Image
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.frames.picture import coloured_pixels
-from palpate.workers.organs.cornea.frames.reading import read_frame
-from palpate.workers.organs.cornea.organ import ORGAN
-from palpate.workers.organs.cornea.section.shape import shape_of
-from palpate.workers.organs.cornea.spec import CorneaCase, CorneaScore, CorneaTarget
-from palpate.workers.organs.cornea.study_checks import CHECKS
-from palpate.workers.organs.study_checks import Finding
-from palpate.workers.spec import validated
+from palpate.workers.common_keys import validated
+from palpate.workers.organs.cornea.cornea_checks import CHECKS
+from palpate.workers.organs.cornea.cornea_keys import CorneaCase, CorneaScore, CorneaTarget
+from palpate.workers.organs.cornea.cornea_organ import ORGAN
+from palpate.workers.organs.cornea.section_measures import shape_of
+from palpate.workers.organs.cornea.tonometer_frames import coloured_pixels, read_frame
+from palpate.workers.organs.plausibility_rule import Finding
 from tests.cases.cornea.painted_frames import (
     DENTED,
     MIDDLE_MM,

@@ -6,30 +6,32 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.service.cluster.single_process import SingleProcess
+from palpate.service.cluster.task_dispatch import SingleProcess
 from palpate.service.commands.studies.report import print_report
-from palpate.service.commands.tables import make_console
-from palpate.service.report.study.page import write_report
-from palpate.service.results.as_json import study_json
+from palpate.service.commands.terminal_tables import make_console
+from palpate.service.report.study.study_page import write_report
 from palpate.service.results.identification import identification_from_tangents
-from palpate.service.results.local_model import OtherProblems, SearchedConstants
-from palpate.service.results.read import study_results
-from palpate.service.results.record import StudyResults
+from palpate.service.results.intervals import OtherProblems, SearchedConstants
+from palpate.service.results.result_records import StudyResults
+from palpate.service.results.results_as_json import study_json
+from palpate.service.results.results_from_journal import study_results
 from palpate.service.study.loop import Study
-from palpate.service.study.spec import StudySpec
-from palpate.storage.records.tasks import FitJson, FreeParameter
-from palpate.workers.organs.cornea.comparison.identifiability import uniaxial_stress_mpa
-from palpate.workers.organs.cornea.findings.doubts import derived
-from palpate.workers.organs.cornea.findings.mesh_shift import refitted_constants
-from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.cornea.organ import ORGAN
-from palpate.workers.organs.cornea.organ_spec import EYE_MOTION, nuisances
-from palpate.workers.organs.cornea.parameters import CORNEA
-from palpate.workers.organs.cornea.problem import candidate_of, constants_of
-from palpate.workers.organs.cornea.section.outline import Section
-from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
-from palpate.workers.organs.cornea.spec import CorneaCase, MeshSpec
-from palpate.workers.spec import validated
+from palpate.service.study.study_keys import StudySpec
+from palpate.storage.values import FitJson, FreeParameter
+from palpate.workers.common_keys import validated
+from palpate.workers.organs.cornea.constant_doubts import derived, refitted_constants
+from palpate.workers.organs.cornea.cornea_keys import (
+    CORNEA,
+    EYE_MOTION,
+    CorneaCase,
+    MeshSpec,
+    nuisances,
+)
+from palpate.workers.organs.cornea.cornea_organ import ORGAN
+from palpate.workers.organs.cornea.cornea_problem import candidate_of, constants_of
+from palpate.workers.organs.cornea.corneal_model import CorneaConstants
+from palpate.workers.organs.cornea.identifiability import uniaxial_stress_mpa
+from palpate.workers.organs.cornea.section_outline import RigidMotion, Section
 
 X1 = {"mu1_pa": 11000.0, "alpha1": 30.0, "mu2_pa": 35000.0, "alpha2": 80.0}
 INSIDE = {"mu1": 0.011, "alpha1": 30.0, "mu2": 0.035, "alpha2": 80.0}

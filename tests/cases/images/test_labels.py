@@ -12,22 +12,20 @@ import yaml
 
 from palpate.service.cli import main
 from palpate.service.export import TISSUE_NAMES, export_volume
-from palpate.service.study.spec import read_spec
+from palpate.service.study.study_keys import read_spec
 from palpate.storage.errors import InputError
-from palpate.storage.stores.store import open_store
-from palpate.storage.stores.volumes import save_volume
+from palpate.storage.store import open_store
+from palpate.storage.stored_arrays import save_volume
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.images.label_files import read_label_file
-from palpate.workers.body.images.labels import crop_to_body
-from palpate.workers.body.images.named_labels import read_tissues
-from palpate.workers.body.images.read import read_volume
-from palpate.workers.body.images.scan import whole_numbers
-from palpate.workers.body.images.tissue_names import tissue_in
-from palpate.workers.organs.breast.case.images import CaseImages, no_store
-from palpate.workers.organs.breast.case.spec import CaseScans
-from palpate.workers.organs.breast.organ import ORGAN
-from palpate.workers.organs.breast.spec import BreastCase
-from palpate.workers.tasks.body_store import BodyStore
+from palpate.workers.body.images.image_formats import read_volume_file
+from palpate.workers.body.images.named_labels import read_label_file, read_tissues
+from palpate.workers.body.images.scan_orientation import whole_numbers
+from palpate.workers.body.images.tissue_labels import crop_to_body, tissue_in
+from palpate.workers.organs.breast.breast_keys import BreastCase
+from palpate.workers.organs.breast.breast_organ import ORGAN
+from palpate.workers.organs.breast.scanned_case_files import CaseImages, no_store
+from palpate.workers.organs.breast.scanned_case_keys import CaseScans
+from palpate.workers.tasks.task_store import BodyStore
 from tests.cases.images.image_cases import (
     LPS,
     SLICER,
@@ -142,7 +140,7 @@ class TestNamesInFiles:
         fields = segments(SLICER, {3: 1})
         path = write_nrrd(tmp_path / "a.seg.nrrd", both, header, **fields)
         with pytest.raises(InputError, match=r"2 layers.*overlap.*label map: Segment Editor"):
-            read_volume(path)
+            read_volume_file(path)
 
 
 class TestStatedLabels:
@@ -317,14 +315,14 @@ class TestCases:
         values = np.minimum(tissues(), 2)
         write_nrrd(tmp_path / "a.nrrd", values)
         turned = self.images(tmp_path, axes="L S A")("a.nrrd")
-        expected = read_volume(tmp_path / "a.nrrd", axes="x,z,-y")
+        expected = read_volume_file(tmp_path / "a.nrrd", axes="x,z,-y")
         np.testing.assert_array_equal(turned.values, expected.values)
 
     def test_a_scan_may_be_a_volume_of_the_store(self, tmp_path: Path) -> None:
         store = open_store(tmp_path / "store")
         volume = Volume(np.minimum(tissues(), 3), (2.0, 2.0, 2.0))
         save_volume(store, "0" * 16, volume, meta={"name": "rest"})
-        from palpate.workers.tasks.sources import volumes_of
+        from palpate.workers.tasks.diagnosis_sources import volumes_of
 
         found = self.images(tmp_path, volumes_of(tmp_path / "store"))("rest")
         np.testing.assert_array_equal(found.values, np.array([0, 1, 2, 1], np.uint8)[volume.values])
@@ -346,7 +344,7 @@ class TestValues:
         image.header.set_slope_inter(np.float32(1 / 7), 0)
         image.header.set_data_dtype(np.int16)
         nib.save(image, tmp_path / "a.nii")
-        np.testing.assert_array_equal(read_volume(tmp_path / "a.nii").values % 7, breast() % 7)
+        np.testing.assert_array_equal(read_volume_file(tmp_path / "a.nii").values % 7, breast() % 7)
 
     @pytest.mark.parametrize(
         ("bad", "said"),

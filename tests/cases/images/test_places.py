@@ -12,15 +12,14 @@ import tifffile
 from palpate.service.cli import main
 from palpate.service.export import export_volume
 from palpate.storage.errors import InputError
-from palpate.storage.stores.store import open_store
-from palpate.storage.stores.volumes import load_volume, save_volume
+from palpate.storage.store import open_store
+from palpate.storage.stored_arrays import load_volume, save_volume
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.images.coarser_voxels import in_coarser_voxels
-from palpate.workers.body.images.labels import crop_to_body, relabel
-from palpate.workers.body.images.largest_component import in_air, one_body
-from palpate.workers.body.images.read import read_volume
-from palpate.workers.body.mesh.hierarchy import build_hierarchy
-from palpate.workers.comparison.warp.warp_volume import warp_labels
+from palpate.workers.body.images.image_formats import read_volume_file
+from palpate.workers.body.images.segmented_body import in_air, in_coarser_voxels, one_body
+from palpate.workers.body.images.tissue_labels import crop_to_body, relabel
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
+from palpate.workers.comparison.warp_volume import warp_labels
 from palpate.workers.tasks.task_store import TaskStore
 from tests.cases.images.image_cases import (
     FRAME,
@@ -46,7 +45,7 @@ def affine(*steps: float, at: tuple[float, float, float] = (50.0, -10.0, 20.0)) 
 
 class TestNrrd:
     def test_directions_place_the_image(self, tmp_path: Path) -> None:
-        volume = read_volume(write_nrrd(tmp_path / "a.nrrd", breast()))
+        volume = read_volume_file(write_nrrd(tmp_path / "a.nrrd", breast()))
         assert volume.origin_mm == (-50.0, 10.0, 20.0)
         assert volume.place_known
 
@@ -61,7 +60,7 @@ class TestNrrd:
         header = {"spacings": np.array([2.0, 2.0, 2.0])} | origin
         path = write_nrrd(tmp_path / "a.nrrd", breast(), header)
         with pytest.raises(InputError, match=r"but no space directions.*Save it with space"):
-            read_volume(path)
+            read_volume_file(path)
 
     def test_refuses_spacings_that_contradict_directions(self, tmp_path: Path) -> None:
         path = write_nrrd(tmp_path / "a.nrrd", breast(), spacings=np.array([2.0, 2.0, 1.0]))
@@ -69,15 +68,15 @@ class TestNrrd:
             InputError,
             match=r"2 x 2 x 2 according to its space directions, but 2 x 2 x 1 according",
         ):
-            read_volume(path)
+            read_volume_file(path)
 
     def test_spacings_alone_leave_the_place_unknown(self, tmp_path: Path) -> None:
         header = {"spacings": np.array([2.0, 2.0, 2.0])}
-        assert not read_volume(write_nrrd(tmp_path / "a.nrrd", breast(), header)).place_known
+        assert not read_volume_file(write_nrrd(tmp_path / "a.nrrd", breast(), header)).place_known
 
     def test_no_origin_leaves_the_place_unknown(self, tmp_path: Path) -> None:
         header = {key: value for key, value in LPS.items() if key != "space origin"}
-        assert not read_volume(write_nrrd(tmp_path / "a.nrrd", breast(), header)).place_known
+        assert not read_volume_file(write_nrrd(tmp_path / "a.nrrd", breast(), header)).place_known
 
     def test_metres_are_converted(self, tmp_path: Path) -> None:
         header = LPS | {
@@ -85,21 +84,21 @@ class TestNrrd:
             "space origin": np.array([-0.05, 0.01, 0.02]),
             "space units": ["m", "m", "m"],
         }
-        volume = read_volume(write_nrrd(tmp_path / "a.nrrd", breast(), header))
+        volume = read_volume_file(write_nrrd(tmp_path / "a.nrrd", breast(), header))
         assert volume.spacing_mm == pytest.approx((2.0, 2.0, 2.0))
         assert volume.origin_mm == pytest.approx((-50.0, 10.0, 20.0))
 
     def test_exports_keep_frame_and_unknown_place(self, tmp_path: Path) -> None:
         volume = Volume(tissues(), (2.0, 2.0, 2.0), (1.0, 2.0, 3.0), FRAME, place_known=False)
         export_volume(tmp_path / "a.nrrd", volume)
-        again = read_volume(tmp_path / "a.nrrd")
+        again = read_volume_file(tmp_path / "a.nrrd")
         assert (again.frame_uid, again.place_known) == (FRAME, False)
         assert again.origin_mm == volume.origin_mm
 
 
 class TestNifti:
     def test_without_forms_the_place_is_unknown(self, tmp_path: Path) -> None:
-        volume = read_volume(write_nifti(tmp_path / "a.nii", breast()))
+        volume = read_volume_file(write_nifti(tmp_path / "a.nii", breast()))
         assert not volume.place_known
 
     @pytest.mark.parametrize("form", ["sform", "qform"])
@@ -111,7 +110,7 @@ class TestNifti:
         else:
             image.set_qform(None, code=0)
         nib.save(image, tmp_path / "a.nii")
-        volume = read_volume(tmp_path / "a.nii")
+        volume = read_volume_file(tmp_path / "a.nii")
         assert volume.place_known
         assert volume.spacing_mm == (2.0, 2.0, 2.0)
 
@@ -140,7 +139,7 @@ class TestNifti:
     ) -> None:
         path = write_nifti(tmp_path / "a.nii", breast(), sform=sform, qform=PLACED, codes=(code, 1))
         with pytest.raises(InputError, match=said):
-            read_volume(path)
+            read_volume_file(path)
 
     def test_refuses_pixdim_that_contradicts_a_lone_sform(self, tmp_path: Path) -> None:
         path = write_nifti(
@@ -149,17 +148,17 @@ class TestNifti:
         with pytest.raises(
             InputError, match=r"according to its sform, but 2 x 2 x 2 mm according to its pixdim"
         ):
-            read_volume(path)
+            read_volume_file(path)
 
     def test_forms_of_one_space_place_voxels_alike(self, tmp_path: Path) -> None:
         moved = affine(2.0, 2.0, 2.0, at=(42.0, -10.0, 20.0))
         same = write_nifti(tmp_path / "a.nii", breast(), sform=moved, qform=PLACED)
         with pytest.raises(InputError, match="place voxels up to 8 mm apart"):
-            read_volume(same)
+            read_volume_file(same)
         other = write_nifti(
             tmp_path / "b.nii", breast(), sform=moved, qform=PLACED, codes=(2, 1)
         )  # aligned to another scan, which is what the sform is for
-        assert read_volume(other).origin_mm[0] == pytest.approx(-42.0 - 2.0 * 13)
+        assert read_volume_file(other).origin_mm[0] == pytest.approx(-42.0 - 2.0 * 13)
 
     def test_refuses_an_unknown_unit(self, tmp_path: Path) -> None:
         path = write_nifti(tmp_path / "a.nii", breast(), sform=PLACED, qform=PLACED)
@@ -167,15 +166,15 @@ class TestNifti:
         raw[123] = 5  # xyzt_units (nifti1.h)
         path.write_bytes(raw)
         with pytest.raises(InputError, match="code 5 for its unit of length"):
-            read_volume(path)
+            read_volume_file(path)
 
 
 class TestDicom:
     def test_frame_of_reference_is_kept(self, tmp_path: Path) -> None:
-        volume = read_volume(write_series(tmp_path / "s", breast(), FrameOfReferenceUID=FRAME))
+        volume = read_volume_file(write_series(tmp_path / "s", breast(), FrameOfReferenceUID=FRAME))
         assert (volume.frame_uid, volume.place_known) == (FRAME, True)
         path = write_segmentation(tmp_path / "a.dcm", breast(), {})
-        assert read_volume(path).frame_uid == FRAME
+        assert read_volume_file(path).frame_uid == FRAME
 
     def test_refuses_two_frames_in_one_folder(self, tmp_path: Path) -> None:
         def frame(z: int) -> str:
@@ -183,7 +182,7 @@ class TestDicom:
 
         path = write_series(tmp_path / "s", breast(), FrameOfReferenceUID=frame)
         with pytest.raises(InputError, match=r"2 frames of reference .*6 slices.*4 slices"):
-            read_volume(path)
+            read_volume_file(path)
 
     @pytest.mark.parametrize("tag", ["SpacingBetweenSlices", "SliceThickness"])
     @pytest.mark.parametrize("stated", [1.0, 1.9, 4.0])
@@ -195,13 +194,13 @@ class TestDicom:
             rf"according to its {tag}"
         )
         with pytest.raises(InputError, match=said):
-            read_volume(write_series(tmp_path / "s", breast(), **{tag: stated}))
+            read_volume_file(write_series(tmp_path / "s", breast(), **{tag: stated}))
         with pytest.raises(InputError, match=said):
-            read_volume(write_segmentation(tmp_path / "a.dcm", breast(), {}, {tag: stated}))
+            read_volume_file(write_segmentation(tmp_path / "a.dcm", breast(), {}, {tag: stated}))
 
     def test_overlapping_slices_are_no_contradiction(self, tmp_path: Path) -> None:
         tags = {"SpacingBetweenSlices": 2.0, "SliceThickness": 3.0}
-        volume = read_volume(write_series(tmp_path / "s", breast(), **tags))
+        volume = read_volume_file(write_series(tmp_path / "s", breast(), **tags))
         assert volume.spacing_mm == (2.0, 2.0, 2.0)
 
 
@@ -223,7 +222,7 @@ class TestSlices:
     ) -> None:
         for z, page in enumerate(breast()):
             tifffile.imwrite(tmp_path / name(z), page)
-        volume = read_volume(tmp_path, spacing_mm=(2.0, 2.0, 2.0))
+        volume = read_volume_file(tmp_path, spacing_mm=(2.0, 2.0, 2.0))
         np.testing.assert_array_equal(volume.values, breast())
         assert not volume.place_known
 
@@ -243,7 +242,7 @@ class TestSlices:
         for name in names:
             tifffile.imwrite(tmp_path / name, breast()[4])
         with pytest.raises(InputError, match=said):
-            read_volume(tmp_path, spacing_mm=(2.0, 2.0, 2.0))
+            read_volume_file(tmp_path, spacing_mm=(2.0, 2.0, 2.0))
 
     def test_spacing_of_imagej_and_ome_files_is_read(self, tmp_path: Path) -> None:
         tifffile.imwrite(
@@ -257,10 +256,10 @@ class TestSlices:
         units = {f"PhysicalSize{axis}Unit": "mm" for axis in "XYZ"}
         meta = {"axes": "ZYX"} | sizes | units
         tifffile.imwrite(tmp_path / "b.ome.tif", breast(), metadata=meta)
-        assert read_volume(tmp_path / "a.tif").spacing_mm == pytest.approx((0.5, 0.5, 2.0))
-        assert read_volume(tmp_path / "b.ome.tif").spacing_mm == (2.0, 2.0, 2.0)
+        assert read_volume_file(tmp_path / "a.tif").spacing_mm == pytest.approx((0.5, 0.5, 2.0))
+        assert read_volume_file(tmp_path / "b.ome.tif").spacing_mm == (2.0, 2.0, 2.0)
         with pytest.raises(InputError, match=r"0\.5 0\.5 2 mm, but --spacing-mm"):
-            read_volume(tmp_path / "a.tif", spacing_mm=(2.0, 2.0, 2.0))
+            read_volume_file(tmp_path / "a.tif", spacing_mm=(2.0, 2.0, 2.0))
 
 
 class TestDerivedVolumes:
@@ -304,18 +303,21 @@ class TestAnatomicalAxes:
     @pytest.mark.parametrize("axes", ["L S A", "l,s,a", "LSA"])
     def test_letters_name_the_directions_of_x_y_and_z(self, tmp_path: Path, axes: str) -> None:
         path = write_nrrd(tmp_path / "a.nrrd", breast())
-        by_letters, by_axes = read_volume(path, axes=axes), read_volume(path, axes="x,z,-y")
+        by_letters, by_axes = (
+            read_volume_file(path, axes=axes),
+            read_volume_file(path, axes="x,z,-y"),
+        )
         np.testing.assert_array_equal(by_letters.values, by_axes.values)
         assert by_letters.origin_mm == by_axes.origin_mm
 
     def test_refuses_axis_letters_that_mirror_the_image(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"R S A would mirror.*for example L S A"):
-            read_volume(write_nrrd(tmp_path / "a.nrrd", breast()), axes="R S A")
+            read_volume_file(write_nrrd(tmp_path / "a.nrrd", breast()), axes="R S A")
 
     def test_refuses_axis_letters_for_a_file_without_orientation(self, tmp_path: Path) -> None:
         np.save(tmp_path / "a.npy", breast())
         with pytest.raises(InputError, match=r"anatomical, but .*a\.npy does not define"):
-            read_volume(tmp_path / "a.npy", spacing_mm=(2.0, 2.0, 2.0), axes="L S A")
+            read_volume_file(tmp_path / "a.npy", spacing_mm=(2.0, 2.0, 2.0), axes="L S A")
 
 
 class TestImport:
@@ -352,7 +354,7 @@ class TestImport:
         assert main(["import", "first.npy", *options]) == 0
         assert main(["import", "second.npy", *options]) == 2
         assert "another volume named a, read from first.npy" in capsys.readouterr().err
-        from palpate.storage.stores.volumes import find_volume
+        from palpate.storage.stored_arrays import find_volume
 
         store = open_store(Path("runs/store"))
         for file in ("second.npy", "first.npy"):  # and back again
@@ -360,5 +362,5 @@ class TestImport:
             assert main(["import", file, *options]) == 0  # the name means this image now
             found = find_volume(store, "a")
             assert found is not None
-            expected = crop_to_body(read_volume(Path(file), spacing_mm=(2.0, 2.0, 2.0)))
+            expected = crop_to_body(read_volume_file(Path(file), spacing_mm=(2.0, 2.0, 2.0)))
             np.testing.assert_array_equal(load_volume(store, found).values, expected.values)

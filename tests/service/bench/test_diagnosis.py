@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from palpate.service.bench.diagnosis import PhaseTimes, measure_diagnosis, projected
+from palpate.service.bench.diagnosis_timing import PhaseTimes, measure_diagnosis, projected
 from palpate.service.cli import main
-from palpate.workers.organs.breast.effects import BREAST_EFFECTS
+from palpate.workers.organs.breast.breast_effects import BREAST_EFFECTS
 from tests.service.diagnosis.compressed_breast import write_case
 
 

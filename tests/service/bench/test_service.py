@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 
-from palpate.service.bench.service import all_rows, busy, soak
-from palpate.service.bench.sleeping import TASKS, Durations, text_of
-from palpate.service.study.log import StudyLog
+from palpate.service.bench.service_overhead import all_rows, busy, soak
+from palpate.service.bench.sleeping_tasks import TASKS, Durations, text_of
 from palpate.service.study.loop import Study
-from palpate.service.study.spec import parse_spec
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.study.study_folder import StudyLog
+from palpate.service.study.study_keys import parse_spec
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError
 from tests.recovery.stand_ins import Inline
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from palpate.service.bench.stages import Bench, Row, _in_processes, _solver, per_unknown
+from palpate.service.bench.stage_timing import Bench, Row, _in_processes, _solver, per_unknown
 from palpate.service.cli import main
 from palpate.service.commands.validation.bench import line
-from palpate.service.errors import TaskError
+from palpate.service.errors_and_interrupts import TaskError
 
 
 def test_time_per_unknown_is_relative_to_the_previous_mesh() -> None:
@@ -36,7 +36,7 @@ def test_times_the_solver_at_two_sizes(
     where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if where == "in this process":
-        monkeypatch.setattr("palpate.service.bench.stages._in_processes", in_this_process)
+        monkeypatch.setattr("palpate.service.bench.stage_timing._in_processes", in_this_process)
     rows = list(_solver([1000, 2500], 2.0, tmp_path))
     stages = ["solve", "unknown", "two at once", "one tangent", "ten tangents"]
     assert [row.stage for row in rows] == 2 * stages

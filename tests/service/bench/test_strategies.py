@@ -8,19 +8,19 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from palpate.service.bench.strategies import (
+from palpate.service.bench.strategy_benchmark import (
     BOUNDS,
     Bench,
     Improvement,
     OneCore,
     Reached,
-    measure,
+    measure_strategies,
     near_from,
     study_of,
     targets,
+    write_chart,
 )
-from palpate.service.bench.strategy_chart import write_chart
-from palpate.service.cluster.dispatch import Ending
+from palpate.service.cluster.task_dispatch import Ending
 
 
 def test_targets_are_stratified_and_nested() -> None:
@@ -98,19 +98,21 @@ class Here:
 
 @pytest.mark.slow
 def test_completed_study_is_read_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("palpate.service.bench.strategies.ProcessPoolExecutor", Here)
+    monkeypatch.setattr("palpate.service.bench.strategy_benchmark.ProcessPoolExecutor", Here)
     bench = Bench(targets=1, nodes=850, spacing_mm=2.0)
-    (first,) = measure(tmp_path, ["least-squares"], bench)
+    (first,) = measure_strategies(tmp_path, ["least-squares"], bench)
     assert first.target == 0
     assert first.evaluations > 0
-    assert list(measure(tmp_path, ["least-squares"], bench)) == [first]
+    assert list(measure_strategies(tmp_path, ["least-squares"], bench)) == [first]
 
 
 @pytest.mark.slow
 def test_concurrent_studies_return_in_order(tmp_path: Path) -> None:
     bench = Bench(targets=2, nodes=850, spacing_mm=2.0)
-    beside = list(measure(tmp_path / "beside", ["least-squares"], bench, processes=2))
+    beside = list(measure_strategies(tmp_path / "beside", ["least-squares"], bench, processes=2))
     assert [row.target for row in beside] == [0, 1]
-    (alone,) = measure(tmp_path / "alone", ["least-squares"], replace(bench, targets=1))
+    (alone,) = measure_strategies(tmp_path / "alone", ["least-squares"], replace(bench, targets=1))
     assert (alone.evaluations, alone.errors) == (beside[0].evaluations, beside[0].errors)
-    assert list(measure(tmp_path / "beside", ["least-squares"], bench)) == beside  # read, not run
+    assert (
+        list(measure_strategies(tmp_path / "beside", ["least-squares"], bench)) == beside
+    )  # read, not run

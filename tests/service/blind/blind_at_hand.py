@@ -7,24 +7,23 @@ from typing import Any
 
 import numpy as np
 
-from palpate.service.blind.making.case import publish
-from palpate.service.blind.making.set import SetRequest, make, plan, seal, unmade
-from palpate.service.blind.sealed.records import CaseRecord
-from palpate.service.blind.sealed.sets import BlindSet, Truths
-from palpate.service.cluster.dispatch import Ending, Task, TaskCalls
+from palpate.service.blind.case_truth import CaseRecord
+from palpate.service.blind.sealed_set import BlindSet, Truths
+from palpate.service.blind.set_making import SetRequest, make, plan, publish, seal, unmade
+from palpate.service.cluster.task_dispatch import Ending, Task, TaskCalls
 from palpate.storage.values import FloatArray, Tissue, Volume
-from palpate.workers.body.mesh.hierarchy import build_hierarchy
-from palpate.workers.body.phantom.breast import generate_breast
-from palpate.workers.comparison.observation.interface import interface_points
-from palpate.workers.comparison.observation.point_interpolation import interpolation
-from palpate.workers.comparison.warp.warp_volume import warp_labels
-from palpate.workers.diagnosis.problem.acquisition import INTERFACES
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
-from palpate.workers.mechanics.fem.problem.fields import frame_of
-from palpate.workers.organs.breast.case.files import read_case
-from palpate.workers.organs.breast.effects import CATALOGUE
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
+from palpate.workers.body.mesh.nodal_interpolation import interpolation_at_points
+from palpate.workers.body.phantom.phantom_generation import generate_breast
+from palpate.workers.comparison.observation.interface_residual import interface_points
+from palpate.workers.comparison.warp_volume import warp_labels
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.problem.planned_acquisition import INTERFACES
+from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.boundary_value_problem import frame_of
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
+from palpate.workers.organs.breast.scanned_case_files import read_case
 from tests.service.diagnosis.compressed_breast import (
     CROSSWISE,
     PHANTOM,
@@ -54,7 +53,7 @@ LOADS = (PRESSED[1], CROSSWISE | {"lower_mm": -45})
 def small_case(
     seed: int, kind: str, one_direction: bool, world: str, case: str, truth: str
 ) -> dict[str, Any]:
-    """Replace `service.blind.making.case.make_case`: a tilted plate, or nothing."""
+    """Replace `service.blind.set_making.make_case`: a tilted plate, or nothing."""
     loads = LOADS[:1] if one_direction else LOADS
     publish(Path(case), Path(truth), lambda *folders: write_small(kind, loads, *folders))
     return {"seconds": 0.0}
@@ -72,7 +71,7 @@ def write_small(kind: str, loads: Iterable[dict[str, Any]], case: Path, truth: P
     mesh, model = hierarchy.finest.mesh, prepare(hierarchy)
     frame = frame_of(model.finest.nodes)
     points = interface_points(imaged.reference, INTERFACES, 3.0, SETTINGS.points.wall_margin_mm)
-    at_points = interpolation(mesh, points.points)
+    at_points = interpolation_at_points(mesh, points.points)
     effects = {"tilt_depth": TILT_DEG} if kind == "tilt" else {}
     went = []
     for number, load in enumerate(loads):

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from palpate.service.blind.making import case as making
+from palpate.service.blind import set_making as making
 from palpate.service.cli import main
 from palpate.workers.blind.random_case import draw
 

@@ -6,16 +6,11 @@ from typing import Any
 
 import pytest
 
-from palpate.service.blind.scoring.magnitudes import (
-    lump_apart_mm,
-    magnitudes,
-    strength,
-    true_values,
-)
-from palpate.service.blind.sealed.truth import Truth
+from palpate.service.blind.case_truth import Truth
+from palpate.service.blind.set_scoring import lump_apart_mm, magnitudes, strength, true_values
 from palpate.workers.blind.random_case import KINDS, draw
-from palpate.workers.diagnosis.schema.summary import EffectSummary, ParameterEstimate
-from palpate.workers.organs.breast.effects import BREAST_EFFECTS
+from palpate.workers.diagnosis.outcome.diagnosis_summary import EffectSummary, ParameterEstimate
+from palpate.workers.organs.breast.breast_effects import BREAST_EFFECTS
 
 GROUP_OF = {
     "control": "control",

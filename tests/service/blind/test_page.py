@@ -9,11 +9,10 @@ from typing import Any
 
 import pytest
 
-from palpate.service.blind.report.markdown import filled
-from palpate.service.blind.report.page import render
-from palpate.service.blind.scoring.metrics import floor_mm, metrics
-from palpate.service.blind.scoring.scored_set import ScoredSet
-from palpate.service.blind.sealed.records import CaseRecord
+from palpate.service.blind.blind_metrics import floor_mm, metrics
+from palpate.service.blind.blind_page import render, with_metrics
+from palpate.service.blind.case_truth import CaseRecord
+from palpate.service.blind.set_scoring import ScoredSet
 from tests.service.blind.blind_at_hand import nothing, record
 from tests.service.report.pages import Page
 
@@ -113,7 +112,7 @@ def test_page_shows_the_seals_of_several_sets() -> None:
     assert "The sets and their seals" in page.text
     assert page.text.count(SEALS["manifest"]) == 2
     assert page.text.count("The diagnosis that answered is not the one") == 1
-    text = filled("<!-- figures -->\n<!-- end of figures -->", both)
+    text = with_metrics("<!-- figures -->\n<!-- end of figures -->", both)
     assert "cases of one + another." in text
     assert text.count(f"`{SEALS['manifest']}`") == 2
 

@@ -8,7 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from palpate.service.blind.answering.run import (
+from palpate.service.blind.case_truth import CaseRecord
+from palpate.service.blind.sealed_set import BlindSet, Truths, check_answers, file_hash, read_json
+from palpate.service.blind.set_answering import (
     Answering,
     along_y,
     answer,
@@ -16,16 +18,11 @@ from palpate.service.blind.answering.run import (
     seal,
     unanswered,
 )
-from palpate.service.blind.scoring.read_records import read_records
-from palpate.service.blind.scoring.score import record, score_sets
-from palpate.service.blind.sealed.records import CaseRecord
-from palpate.service.blind.sealed.seal import file_hash, read_json
-from palpate.service.blind.sealed.sets import BlindSet, Truths, check_answers
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.diagnosis.run import finished, request_for
+from palpate.service.blind.set_scoring import read_records, score_record, score_sets
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.service.diagnosis.diagnosis_run import finished, request_for
 from palpate.storage.errors import InputError
-from palpate.storage.plain import to_plain
-from palpate.storage.records.typed_json import to_json
+from palpate.storage.json_digests import to_json, to_plain
 from tests.service.blind.blind_at_hand import (
     NODES,
     SPACING_MM,
@@ -41,7 +38,7 @@ from tests.service.diagnosis.compressed_breast import read_settings
 def few_suspects() -> Any:
     """Use widely spaced points and two effects."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("palpate.service.blind.answering.run.request_for", small_request)
+        patch.setattr("palpate.service.blind.set_answering.request_for", small_request)
         yield
 
 
@@ -147,7 +144,7 @@ def answered_alike(one: BlindSet, other: BlindSet) -> str:
 def test_score_includes_the_seals(answered: Answering) -> None:
     blind = answered.blind
     scored = score_sets([(blind, Truths(blind.truth_beside()))], "all")
-    told = json.loads(json.dumps(record(scored)))
+    told = json.loads(json.dumps(score_record(scored)))
     assert told["seals"][0]["manifest"] == file_hash(blind.manifest)
     assert told["seals"][0]["declared"] is None
     assert sum(map(sum, told["confusion"]["counts"])) == 2
@@ -252,8 +249,8 @@ def test_failed_diagnosis_is_recorded_with_its_reason(
     broken, other = sorted(p.name for p in copy.cases.iterdir())
     shutil.rmtree(copy.answers("all"))
     copy.sealed_answers("all").unlink()
-    monkeypatch.setattr("palpate.service.blind.answering.run.request_for", refusing)
-    monkeypatch.setattr("palpate.service.blind.answering.run.diagnose_alone", crashing)
+    monkeypatch.setattr("palpate.service.blind.set_answering.request_for", refusing)
+    monkeypatch.setattr("palpate.service.blind.set_answering.diagnose_alone", crashing)
     asked = Answering(copy, tmp_path / "store", "all", NODES)
     told: list[str] = []
     answer(asked, unanswered(asked), cast(Dispatcher, Inline()), told.append)

@@ -7,24 +7,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.service.blind.answering.baselines import (
-    closest,
-    improvement,
-    largest,
-    raw_correlation,
-    threshold,
-)
-from palpate.service.blind.scoring.calibration import (
+from palpate.service.blind.answer_statistics import (
     brier,
     brier_of_base_rates,
     calibration_curve,
     calibration_error,
+    confusion,
+    correlation,
     log_score,
+    mean,
+    median,
+    share,
     statements,
     sure_statements,
 )
-from palpate.service.blind.scoring.confusion import confusion
-from palpate.service.blind.scoring.metrics import (
+from palpate.service.blind.blind_metrics import (
     Metric,
     floor_mm,
     metrics,
@@ -32,8 +29,14 @@ from palpate.service.blind.scoring.metrics import (
     strata,
     visible,
 )
-from palpate.service.blind.scoring.statistics import correlation, mean, median, share
-from palpate.service.blind.sealed.records import CaseRecord, Magnitude
+from palpate.service.blind.case_truth import CaseRecord, Magnitude
+from palpate.service.blind.set_answering import (
+    baseline_threshold,
+    closest_refit,
+    largest_correlation,
+    raw_correlation,
+    refit_improvement,
+)
 from tests.service.blind.blind_at_hand import nothing, record
 
 
@@ -317,10 +320,10 @@ def test_baselines_with_a_threshold_have_as_few_false_alarms_as_the_diagnosis() 
 
 
 def test_evidence_of_a_refit_is_its_reduction_of_the_residual() -> None:
-    assert improvement({"a": 0.5, "b": 0.25}, 0.5) == pytest.approx(np.log(2))
-    assert improvement({}, 0.5) == 0.0
-    assert [threshold([3.0, 1.0, 2.0], alarms) for alarms in (0, 1)] == [3.0, 2.0]
-    assert threshold([], 0) == -np.inf
+    assert refit_improvement({"a": 0.5, "b": 0.25}, 0.5) == pytest.approx(np.log(2))
+    assert refit_improvement({}, 0.5) == 0.0
+    assert [baseline_threshold([3.0, 1.0, 2.0], alarms) for alarms in (0, 1)] == [3.0, 2.0]
+    assert baseline_threshold([], 0) == -np.inf
 
 
 def test_a_failed_diagnosis_is_a_wrong_answer() -> None:
@@ -417,6 +420,6 @@ def test_raw_correlation_is_the_largest_cosine_over_all_places() -> None:
     places = np.stack([flat, -2 * np.eye(4)[:, :2]])
     assert raw_correlation(places, residual) == pytest.approx(1.0)
     assert raw_correlation(np.zeros((4, 1)), residual) == 0.0
-    assert largest({"a": 0.2, "b": 0.9}) == "b"
-    assert closest({"a": 0.2, "b": 0.9}) == "a"
-    assert (largest({}), closest({})) == (None, None)
+    assert largest_correlation({"a": 0.2, "b": 0.9}) == "b"
+    assert closest_refit({"a": 0.2, "b": 0.9}) == "a"
+    assert (largest_correlation({}), closest_refit({})) == (None, None)

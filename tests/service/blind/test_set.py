@@ -11,29 +11,25 @@ from typing import Any
 
 import pytest
 
-from palpate.service.blind.making.case import publish
-from palpate.service.blind.making.set import SetRequest, plan, shared_out, unmade
-from palpate.service.blind.sealed.seal import (
-    file_hash,
-    folder_hash,
-    read_json,
-    salted_hash,
-    write_json,
-)
-from palpate.service.blind.sealed.sealed_settings import differences, frozen
-from palpate.service.blind.sealed.sets import (
+from palpate.service.blind.sealed_diagnosis import differences, frozen
+from palpate.service.blind.sealed_set import (
     BlindSet,
     Truths,
     check_cases,
     check_truths,
+    file_hash,
+    folder_hash,
+    read_json,
     read_manifest,
+    salted_hash,
+    write_json,
 )
-from palpate.service.errors import TaskError
-from palpate.storage.digest import digest
+from palpate.service.blind.set_making import SetRequest, plan, publish, shared_out, unmade
+from palpate.service.errors_and_interrupts import TaskError
 from palpate.storage.errors import InputError
-from palpate.storage.records.typed_json import to_json
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.organs.breast.effects import BREAST_EFFECTS
+from palpate.storage.json_digests import digest, to_json
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.organs.breast.breast_effects import BREAST_EFFECTS
 from tests.service.blind.blind_at_hand import Inline, make_set
 
 SHARES = {"control": 2.0, "tilt": 1.0, "friction": 1.0}
@@ -186,7 +182,7 @@ def test_lists_changes_since_the_seal(monkeypatch: pytest.MonkeyPatch) -> None:
     assert differences(sealed | {"code": "other"}, frozen(5000)) == ["code"]
     assert sealed["settings"]["effects"][0]["prior_sd"]
     louder = replace(SETTINGS, pose=replace(SETTINGS.pose, shift_sd_mm=5.0))
-    monkeypatch.setattr("palpate.service.blind.sealed.sealed_settings.SETTINGS", louder)
+    monkeypatch.setattr("palpate.service.blind.sealed_diagnosis.SETTINGS", louder)
     assert differences(sealed, frozen(5000)) == ["pose"]
 
 

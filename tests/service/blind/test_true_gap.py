@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from palpate.service.blind.scoring.drawn_interfaces import drawn_mm
-from palpate.service.blind.scoring.true_gap import NEIGHBOURS, material_points, true_gap
-from palpate.service.blind.sealed.truth import Moved
+from palpate.service.blind.case_truth import Moved
+from palpate.service.blind.true_gap import NEIGHBOURS, drawn_mm, material_points, true_gap
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
 

@@ -63,16 +63,16 @@ def test_access_to_the_truth_would_be_detected(
 
 
 def test_diagnosis_imports_no_module_that_makes_or_opens_cases() -> None:
-    modules = "palpate.service.blind.answering.single_process, palpate.workers.tasks.diagnosis"
+    modules = "palpate.service.blind.diagnosed_case, palpate.workers.tasks.diagnosis_tasks"
     lines = f"import sys; import {modules}; print(*sys.modules)"
     ran = subprocess.run(
         [sys.executable, "-c", lines], capture_output=True, text=True, check=True, cwd=ROOT
     )
     imported = set(ran.stdout.split())
-    assert "palpate.workers.diagnosis.verdict.diagnosis" in imported
+    assert "palpate.workers.diagnosis.verdict.diagnosis_course" in imported
     assert not [name for name in imported if name.startswith("palpate.workers.blind")]
     assert not imported & {
-        "palpate.service.blind.making.case",
-        "palpate.service.blind.sealed.truth",
-        "palpate.service.blind.scoring.read_records",
+        "palpate.service.blind.set_making",
+        "palpate.service.blind.case_truth",
+        "palpate.service.blind.set_scoring",
     }

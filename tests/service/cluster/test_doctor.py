@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from palpate.service.cluster.doctor import _mixed, describe_process, try_kernels, try_store
+from palpate.service.cluster.doctor_checks import _mixed, describe_process, try_kernels, try_store
 
 
 def test_accepts_equal_processes() -> None:

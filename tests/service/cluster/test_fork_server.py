@@ -13,7 +13,7 @@ from typing import Any
 import dask
 import pytest
 
-from palpate.service.cluster.fork_server import METHOD, forked_workers
+from palpate.service.cluster.worker_startup import METHOD, forked_workers
 from tests.service.diagnosis.compressed_breast import write_case
 
 IMPORTS = "palpate.service.diagnosis.worker_imports"
@@ -63,8 +63,8 @@ def test_forked_workers_and_their_replacements_have_the_imports(tmp_path: Path) 
         tmp_path,
         f"""
         import json, os, signal, sys
-        from palpate.service.cluster.open import open_cluster
-        from palpate.service.cluster.fork_server import forked_workers
+        from palpate.service.cluster.dask_cluster import open_cluster
+        from palpate.service.cluster.worker_startup import forked_workers
 
         def seen():
             blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [])
@@ -104,9 +104,9 @@ def test_workers_that_do_not_start_give_one_message(tmp_path: Path) -> None:
         f"""
         import json, os
         os.environ["PYTHONPATH"] = os.pathsep.join([{str(tmp_path)!r}, *os.sys.path])
-        from palpate.service.cluster.open import open_cluster
-        from palpate.service.errors import ClusterError
-        from palpate.service.cluster.fork_server import forked_workers
+        from palpate.service.cluster.dask_cluster import open_cluster
+        from palpate.service.errors_and_interrupts import ClusterError
+        from palpate.service.cluster.worker_startup import forked_workers
 
         with forked_workers(None, "dies"):
             try:

@@ -13,12 +13,12 @@ import pytest
 from distributed import Client
 from distributed.system import MEMORY_LIMIT
 
-from palpate.service.cluster import open as cluster_module
+from palpate.service.cluster import dask_cluster as cluster_module
 from palpate.service.cluster.certificates import temporary_security
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import CONFIG, free_port, open_cluster
-from palpate.service.errors import ClusterError, TaskError
-from palpate.service.server.jobs.tokens import take_token
+from palpate.service.cluster.dask_cluster import CONFIG, free_port, open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.service.errors_and_interrupts import ClusterError, TaskError
+from palpate.service.server.jobs.home_and_tokens import take_token
 from palpate.storage.errors import InputError
 
 
@@ -97,7 +97,9 @@ def test_starts_if_another_process_takes_the_port_first(monkeypatch: pytest.Monk
         other.bind(("127.0.0.1", 0))
         other.listen()
         taken = other.getsockname()[1]
-        monkeypatch.setattr("palpate.service.cluster.open.free_port", lambda preferred: taken)
+        monkeypatch.setattr(
+            "palpate.service.cluster.dask_cluster.free_port", lambda preferred: taken
+        )
         with open_cluster(workers=1) as cluster:
             assert cluster.client.run(int)
             assert f":{taken}/" not in str(cluster.client.dashboard_link)

@@ -11,9 +11,9 @@ import nrrd
 import numpy as np
 import pytest
 
-from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.values import Volume
-from palpate.workers.body.images.read import read_volume
+from palpate.workers.body.images.image_formats import read_volume_file
 from tests.recovery.stand_ins import SPEC, Inline, run
 
 Call = Callable[..., tuple[int, str, str]]
@@ -154,7 +154,7 @@ def test_a_phantom_is_written_as_it_is_read(call: Call, tmp_path: Path) -> None:
     assert code == 0
     found: dict[str, Any] = json.loads(out)
     assert list(nrrd.read(str(tmp_path / "p.nrrd"))[0].shape) == found["shape"]
-    volume: Volume = read_volume(tmp_path / "p.nrrd")
+    volume: Volume = read_volume_file(tmp_path / "p.nrrd")
     assert volume.spacing_mm == (2.0, 2.0, 2.0)
     np.testing.assert_allclose(volume.origin_mm, found["origin_mm"])
     counts = dict(zip(*np.unique(volume.values, return_counts=True), strict=True))

@@ -9,9 +9,9 @@ import pytest
 from rich.console import Console
 
 from palpate.service.cli import main
-from palpate.service.commands.images.preview import doubt, facts, terminal_lines
+from palpate.service.commands.images.image_preview import doubt, facts, terminal_lines
 from palpate.storage.values import Volume
-from palpate.workers.body.images.labels import summarise
+from palpate.workers.body.images.tissue_labels import summarise
 
 CONE = np.zeros((12, 20, 20), np.uint8)  # [z, y, x], widest at z = 0
 for _z in range(12):

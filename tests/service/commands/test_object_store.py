@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from palpate.service.study import store_use
-from palpate.storage.backends import object_client
-from palpate.storage.stores.fields import has_field, save_field
-from palpate.storage.stores.store import open_store
+from palpate.storage.backends import bucket_client
+from palpate.storage.store import open_store
+from palpate.storage.stored_arrays import has_field, save_field
 from tests.recovery.stand_ins import Inline, run, told
 from tests.storage.object_server import set_environment
 
@@ -81,7 +81,7 @@ def without_conditions(address: str) -> Callable[[BaseHTTPRequestHandler], None]
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Limit the time for unreachable addresses to half a second."""
-    monkeypatch.setattr(object_client, "FIRST_PATIENCE_S", 0.5)
+    monkeypatch.setattr(bucket_client, "FIRST_PATIENCE_S", 0.5)
 
 
 @pytest.fixture
@@ -178,7 +178,7 @@ def test_error_explains_installing_obstore(
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "obstore.store", None)
     monkeypatch.delattr("obstore.store", raising=False)
-    object_client._client.cache_clear()
+    bucket_client._client.cache_clear()
     code, _, err = call("store", "check", "--store", f"{scheme}://lab/store")
     assert (code, "pip install 'palpate[cloud]'" in err) == (2, True)
 
@@ -186,7 +186,7 @@ def test_error_explains_installing_obstore(
 def test_doctor_reports_conditional_put(
     call: Call, bucket: str, object_server: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from palpate.service.cluster.doctor import _store_problems, try_store
+    from palpate.service.cluster.doctor_checks import _store_problems, try_store
 
     facts = try_store(f"{bucket}/store")
     assert facts == {"root": f"{bucket}/store", "free_bytes": None, "takes_once": True}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.commands import open_
+from palpate.service.commands.studies import open_
 
 
 @pytest.fixture

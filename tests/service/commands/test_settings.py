@@ -9,15 +9,19 @@ from typing import Any
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.cluster.dispatch import Ending
-from palpate.service.cluster.open import Cluster
-from palpate.service.cluster.scheduler_address import check_reachable, host_and_port
-from palpate.service.cluster.worker_range import WorkerRange, read_workers
-from palpate.service.commands.settings import cluster_options, store_place
-from palpate.service.errors import ClusterError
+from palpate.service.cluster.cluster_choice import (
+    WorkerRange,
+    check_reachable,
+    host_and_port,
+    read_workers,
+)
+from palpate.service.cluster.dask_cluster import Cluster
+from palpate.service.cluster.task_dispatch import Ending
+from palpate.service.commands.command_line import cluster_options, store_place
+from palpate.service.errors_and_interrupts import ClusterError
 from palpate.service.study import loop as study_module
-from palpate.service.study import session as session_module
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.study import study_session as session_module
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError
 from tests.recovery.stand_ins import SPEC, TASKS, Inline, run, set_manners
 

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.results.read import study_results
+from palpate.service.results.results_from_journal import study_results
 from palpate.service.study import loop as study_module
 from palpate.service.study.loop import Study
-from palpate.storage.backends.layout import StudyLayout
+from palpate.storage.backends.store_paths import StudyLayout
 from tests.recovery.stand_ins import TASKS, Inline, small_spec
 
 HOURS = 3

@@ -10,14 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.service.study.archive import export_study, import_study
-from palpate.service.study.log import StudyLog
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.study.study_archive import export_study, import_study
+from palpate.service.study.study_folder import StudyLog
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import StoreError
-from palpate.storage.records.evaluations import save_evaluation
-from palpate.storage.stores.fields import has_field, save_field
-from palpate.storage.stores.store import Store, open_store
-from palpate.storage.stores.volumes import has_volume, save_volume
+from palpate.storage.store import Store, open_store, save_evaluation
+from palpate.storage.stored_arrays import has_field, has_volume, save_field, save_volume
 from palpate.storage.values import Volume
 from tests.recovery.stand_ins import Inline, executions, run, told
 

@@ -5,7 +5,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from palpate.service.commands.tables import print_table, table_lines
+from palpate.service.commands.terminal_tables import print_table, table_lines
 
 HEADINGS = ("candidate", "status", "reason")
 REASON = "forces on the plates miss the load by 2.3 N, which is 0.02 of the load"

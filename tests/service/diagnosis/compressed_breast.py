@@ -9,14 +9,15 @@ import yaml
 
 from palpate.service.export import export_volume
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.mesh.hierarchy import build_hierarchy
-from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
-from palpate.workers.comparison.warp.warp_volume import warp_labels
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.fields import frame_of
-from palpate.workers.organs.breast.case.files import read_case
-from palpate.workers.organs.breast.effects import CATALOGUE
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
+from palpate.workers.body.phantom.phantom_generation import generate_breast
+from palpate.workers.body.phantom.phantom_settings import BreastPhantom
+from palpate.workers.comparison.warp_volume import warp_labels
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import frame_of
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
+from palpate.workers.organs.breast.scanned_case_files import read_case
 
 TRUE_MPA = {"E_fat": 0.010, "E_gl": 0.032}
 FORCES_N = (8.0, 20.0)

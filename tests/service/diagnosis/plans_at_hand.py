@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from palpate.workers.diagnosis.schema.plan import FurtherMeasurement, PlanSummary
+from palpate.workers.diagnosis.plan_summary import FurtherMeasurement, PlanSummary
 
 
 def option(name: str, **changes: Any) -> FurtherMeasurement:

@@ -10,11 +10,15 @@ from typing import Any
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.diagnosis.advice import next_acquisitions, undecided, worth
-from palpate.service.diagnosis.run import request_for
+from palpate.service.diagnosis.diagnosis_run import request_for
+from palpate.service.diagnosis.diagnosis_words import (
+    acquisition_worth,
+    is_undecided,
+    next_acquisitions,
+)
 from palpate.storage.errors import InputError
-from palpate.storage.records.typed_json import from_json
-from palpate.workers.diagnosis.schema.summary import NextAcquisition
+from palpate.storage.json_digests import from_json
+from palpate.workers.diagnosis.outcome.diagnosis_summary import NextAcquisition
 from tests.service.diagnosis.compressed_breast import write_case
 from tests.service.diagnosis.plans_at_hand import option, plan_of
 from tests.service.report.diagnosis_at_hand import summary, typed
@@ -42,13 +46,13 @@ def test_measurements_that_separate_suspects_rank_first() -> None:
     assert names == ["decides", "shows the force", "more of the same", "others"]
     assert found[0].separates == (("fibre_fan", "plate_tilt"),)
     assert found[1].reveals == ("plate_force",)
-    assert worth(found[0]) == (
+    assert acquisition_worth(found[0]) == (
         "distinguishes fibre fan from plate tilt; detection limits become 0.90 times as large"
     )
-    assert worth(found[1]).startswith("reveals plate force")
-    assert worth(found[2]) == "detection limits become 0.90 times as large"
-    assert undecided(TOLD)
-    assert not undecided(replace(TOLD, verdict="effect"))
+    assert acquisition_worth(found[1]).startswith("reveals plate force")
+    assert acquisition_worth(found[2]) == "detection limits become 0.90 times as large"
+    assert is_undecided(TOLD)
+    assert not is_undecided(replace(TOLD, verdict="effect"))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -59,7 +63,7 @@ def few_suspects() -> Iterator[None]:
         return request_for(source, store, nodes, effects=("plate_tilt", "fibre_fan"))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("palpate.service.commands.diagnoses.diagnosing.request_for", few)
+        patch.setattr("palpate.service.commands.studies.diagnosing.request_for", few)
         yield
 
 
@@ -97,7 +101,7 @@ def test_command_recommends_measurements(
     assert without_made(again) == without_made(page)
     assert main([*command(runs), "--plan"]) == 0
     assert (
-        f"Next, {options[0]['name']}: {worth(from_json(NextAcquisition, options[0]))}."
+        f"Next, {options[0]['name']}: {acquisition_worth(from_json(NextAcquisition, options[0]))}."
         in capsys.readouterr().out
     )
 
@@ -127,7 +131,7 @@ def test_a_failed_plan_keeps_the_diagnosis(
     def fail(*arguments: Any) -> None:
         raise InputError("The nominal model does not converge at 8 N.")
 
-    monkeypatch.setattr("palpate.service.commands.diagnoses.diagnosing.planned", fail)
+    monkeypatch.setattr("palpate.service.commands.studies.diagnosing.planned", fail)
     assert main([*command(runs), "--plan", "--json"]) == 0
     said = capsys.readouterr()
     assert "Further measurements could not be evaluated. The nominal model" in said.err

@@ -10,30 +10,40 @@ import numpy as np
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.open import open_cluster
-from palpate.service.diagnosis.quotability import summary_json
-from palpate.service.diagnosis.run import FinishedDiagnosis, finished, request_for, run
-from palpate.service.diagnosis.step import Step
-from palpate.service.errors import Interrupted
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.service.diagnosis.diagnosed_constants import summary_json
+from palpate.service.diagnosis.diagnosis_run import (
+    FinishedDiagnosis,
+    Step,
+    finished,
+    request_for,
+    run_diagnosis,
+)
+from palpate.service.errors_and_interrupts import Interrupted
 from palpate.storage.errors import StoreError
-from palpate.storage.records.typed_json import to_json
-from palpate.workers.diagnosis.fits.calibration import calibrate
-from palpate.workers.diagnosis.fits.sensitivity_analysis import joined_sensitivity, scan_sensitivity
-from palpate.workers.diagnosis.outcome.summarise import summarise
-from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.diagnosis.verdict.diagnosis import weigh
-from palpate.workers.organs.breast.case.files import read_case
-from palpate.workers.organs.breast.case.source import ScannedCaseSource
-from palpate.workers.organs.breast.effects import CATALOGUE
+from palpate.storage.json_digests import to_json
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis
+from palpate.workers.diagnosis.fits.effect_sensitivities import joined_sensitivity, scan_sensitivity
+from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
+from palpate.workers.diagnosis.outcome.summarising import summarise
+from palpate.workers.diagnosis.verdict.diagnosis_course import weigh
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
+from palpate.workers.organs.breast.scanned_case_files import read_case
+from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource
 from palpate.workers.resources import CACHE
 from palpate.workers.tasks import diagnosis_store
-from palpate.workers.tasks.diagnosis import analyse_effect, calibrate_nominal, kept_of, prepare_scan
 from palpate.workers.tasks.diagnosis_store import (
     DiagnosisRequest,
     DiagnosisStore,
     SensitivityRecord,
+)
+from palpate.workers.tasks.diagnosis_tasks import (
+    analyse_effect,
+    calibrate_nominal,
+    kept_of,
+    prepare_scan,
 )
 from tests.service.blind.blind_at_hand import Inline
 from tests.service.diagnosis.compressed_breast import SCANS, TRUE_MPA, loads_exchanged, write_case
@@ -65,7 +75,7 @@ def diagnosed(
 ) -> tuple[DiagnosisRequest, FinishedDiagnosis]:
     """Provide the diagnosis by one worker."""
     request = asked(tilted, tmp_path_factory.mktemp("one") / "store")
-    return request, run(request, one_worker)
+    return request, run_diagnosis(request, one_worker)
 
 
 def asked(folder: Path, store: Path) -> DiagnosisRequest:
@@ -179,7 +189,7 @@ def by_two_workers(
     request = asked(folder, place / "store")
     shutil.rmtree(folder)
     with open_cluster(workers=2) as cluster:
-        return folder, request, run(request, Dispatcher(cluster.client))
+        return folder, request, run_diagnosis(request, Dispatcher(cluster.client))
 
 
 @pytest.mark.slow
@@ -237,11 +247,11 @@ def test_an_interrupted_diagnosis_resumes(
             raise Interrupted
 
     with pytest.raises(Interrupted):
-        run(request, one_worker, until_refits)
+        run_diagnosis(request, one_worker, until_refits)
     assert finished(request) is None
     done = made(request)
     assert len(done) == 1 + 2 * len(SUSPECTS) + 1  # calibration, sensitivities and threshold
-    assert run(request, one_worker).summary == diagnosed[1].summary
+    assert run_diagnosis(request, one_worker).summary == diagnosed[1].summary
     assert made(request).items() >= done.items()
 
 
@@ -255,7 +265,7 @@ def test_scans_are_prepared_once_for_all_processes(tilted: Path, tmp_path: Path)
     request, workers = asked(tilted, tmp_path / "store"), Inline(threads=3)
     for _ in range(2):
         with pytest.raises(Interrupted):
-            run(request, workers, until_effects)
+            run_diagnosis(request, workers, until_effects)
     scans = len(read_case(tilted).deformed)
     prepared = ["prepare_scan"] * (3 + scans)
     assert workers.asked == [*prepared, "calibrate_nominal", "calibrate_nominal"]
@@ -296,7 +306,7 @@ def test_only_missing_results_are_recomputed(
     lost = [parts.outcome.path, parts.joint_fit(["plate_tilt"]).path]
     for path in lost:
         shutil.rmtree(path)
-    assert run(request, one_worker).summary == diagnosed[1].summary
+    assert run_diagnosis(request, one_worker).summary == diagnosed[1].summary
     after = made(request)
     assert {p for p in after if after[p] != before[p]} == {path.name for path in lost}
 
@@ -321,9 +331,9 @@ def test_hypotheses_are_weighed_once(
         weighed.append(1)
         return weigh(*arguments)
 
-    monkeypatch.setattr("palpate.workers.diagnosis.verdict.diagnosis.weigh", counted)
+    monkeypatch.setattr("palpate.workers.diagnosis.verdict.diagnosis_course.weigh", counted)
     workers = Inline()
-    run(request, workers)
+    run_diagnosis(request, workers)
     assert workers.asked.count("weigh_hypotheses") == 2
     assert len(weighed) == 1
 
@@ -420,7 +430,7 @@ def test_a_stored_diagnosis_needs_no_cluster(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(
-        "palpate.service.commands.diagnoses.diagnosing.request_for", lambda *_: diagnosed[0]
+        "palpate.service.commands.studies.diagnosing.request_for", lambda *_: diagnosed[0]
     )
     assert main(["diagnose", str(tilted), "--json", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()

@@ -5,11 +5,10 @@ from pathlib import Path
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.diagnosis.fits.calibration import calibrate
-from palpate.workers.organs.breast.case.checks import check_case
-from palpate.workers.organs.breast.case.files import read_case
-from palpate.workers.organs.breast.case.scanned_case import extent_mm
-from palpate.workers.organs.breast.case.source import ScannedCaseSource
+from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
+from palpate.workers.organs.breast.scan_facts import extent_mm
+from palpate.workers.organs.breast.scanned_case_files import read_case
+from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource, check_case
 from tests.service.diagnosis.compressed_breast import (
     CROSSWISE,
     PRESSED,

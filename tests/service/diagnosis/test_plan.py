@@ -8,16 +8,16 @@ from typing import Any
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.diagnosis import plan_words as words
-from palpate.service.diagnosis.planning import request_plan
-from palpate.service.report.plan.page import render
-from palpate.storage.records.typed_json import to_json
-from palpate.workers.diagnosis.schema.plan import ConfusablePair, PlannedEffect, PlanSummary
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.tasks.planning import stored_plan
+from palpate.service.diagnosis import diagnosis_words as words
+from palpate.service.diagnosis.diagnosis_run import request_plan
+from palpate.service.report.diagnosis.plan_page import render_plan
+from palpate.storage.json_digests import to_json
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.plan_summary import ConfusablePair, PlannedEffect, PlanSummary
+from palpate.workers.tasks.plan_tasks import stored_plan
 from tests.service.diagnosis.plans_at_hand import plan_of
 from tests.service.report.pages import Page
-from tests.workers.diagnosis.planning.meant_case import at_force, write_meant
+from tests.workers.diagnosis.meant_case import at_force, write_meant
 
 Json = dict[str, Any]
 
@@ -108,8 +108,8 @@ def test_the_console_names_effects_and_measurements(
 
 
 def test_page_shows_complete_plan(planned: PlanSummary, record: Json) -> None:
-    page = Page(render(planned))
-    assert words.headline(planned) in page.text
+    page = Page(render_plan(planned))
+    assert words.plan_headline(planned) in page.text
     for effect in record["effects"]:
         row = next(r for r in page.cells if r and r[0].startswith(effect["name"].replace("_", " ")))
         assert f"{100 * effect['absorbed_share']:.0f} %" in row
@@ -117,7 +117,7 @@ def test_page_shows_complete_plan(planned: PlanSummary, record: Json) -> None:
         assert page.row(acquisition["name"])[1] == str(acquisition["told_apart"])
     assert len(page.drawings()) == 2
     page.needs_no_other_file()
-    assert render(planned) == render(planned)
+    assert render_plan(planned) == render_plan(planned)
 
 
 def test_reports_when_nothing_can_be_planned(
@@ -140,9 +140,9 @@ def test_undetectable_and_similar_effects_are_named() -> None:
         ),
         confusable=(ConfusablePair(("plate_tilt", "plate_flex"), 1.234),),
     )
-    assert words.silence(told) == (
+    assert words.silent_effects(told) == (
         "Neither confirmed nor ruled out: plate force (absorbed by the constants); creep "
         "(too weak)."
     )
-    assert words.confusions(told).endswith("plate tilt or plate flex (1.2).")
-    assert words.silence(replace(told, effects=told.effects[2:])) == ""
+    assert words.confused_effects(told).endswith("plate tilt or plate flex (1.2).")
+    assert words.silent_effects(replace(told, effects=told.effects[2:])) == ""

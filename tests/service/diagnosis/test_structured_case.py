@@ -8,9 +8,14 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.organs.breast.case.files import read_case
-from palpate.workers.organs.breast.case.source import ScannedCaseSource
-from palpate.workers.tasks.sources import is_plannable, open_planned, open_source, understood
+from palpate.workers.organs.breast.scanned_case_files import read_case
+from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource
+from palpate.workers.tasks.diagnosis_sources import (
+    is_plannable,
+    open_planned,
+    open_source,
+    understood,
+)
 from tests.service.diagnosis.compressed_breast import SCANS, described, write_scan, write_settings
 
 Call = Callable[..., tuple[int, str, str]]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from palpate.service.export.solved_body import SolvedBody, solve_body
+from palpate.service.export.solved_mesh_files import SolvedBody, solve_body
 from tests.service.export.small_breast import CASE, CONSTANTS
 
 

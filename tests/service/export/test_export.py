@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.export.formats import export_solved
-from palpate.service.export.solved_body import SolvedBody, solve_body
+from palpate.service.export.export_formats import export_solved
+from palpate.service.export.solved_mesh_files import SolvedBody, solve_body
 from palpate.service.export.solver_model import SolverModel, comparable, contact_nodes, solver_model
 from palpate.storage.errors import InputError
-from palpate.workers.body.images.read import read_volume
-from palpate.workers.mechanics.fem.elements.external_forces import stated_springs
+from palpate.workers.body.images.image_formats import read_volume_file
+from palpate.workers.mechanics.fem.external_forces import stated_springs
 from tests.service.export.small_breast import CASE, CONSTANTS
 
 
@@ -57,7 +57,7 @@ def test_surface_is_closed_and_encloses_the_volume(body: SolvedBody, tmp_path: P
 
 def test_labels_match_the_deformed_body(body: SolvedBody, tmp_path: Path) -> None:
     export_solved([tmp_path / "b.nrrd"], body)
-    labels = read_volume(tmp_path / "b.nrrd")
+    labels = read_volume_file(tmp_path / "b.nrrd")
     ml = (labels.values > 0).sum() * labels.voxel_mm3 / 1e3
     assert ml == pytest.approx(
         (body.level.model.elements.volumes * body.fields.volume_ratio).sum() / 1e3, rel=0.03

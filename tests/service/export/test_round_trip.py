@@ -10,15 +10,20 @@ import pytest
 from PIL import Image
 
 from palpate.service.cli import main
-from palpate.service.export.formats import export_solved
-from palpate.service.export.solved_body import SolvedBody
+from palpate.service.export.export_formats import export_solved
+from palpate.service.export.solved_mesh_files import SolvedBody
 from palpate.service.export.solver_model import SolverModel, comparable, solver_model
-from palpate.service.export.stored import TISSUE_NAMES, export_volume
-from palpate.service.export.suffixes import MESH_SUFFIXES, VOLUME_SUFFIXES, solved_suffixes
+from palpate.service.export.stored_files import (
+    MESH_SUFFIXES,
+    TISSUE_NAMES,
+    VOLUME_SUFFIXES,
+    export_volume,
+    solved_suffixes,
+)
 from palpate.storage.values import Tissue, Volume
+from palpate.workers.body.images.image_formats import read_labels
 from palpate.workers.body.images.named_labels import read_tissues
-from palpate.workers.body.images.read import read_labels
-from palpate.workers.body.mesh.boundary import boundary_triangles
+from palpate.workers.body.mesh.mesh_geometry import boundary_triangles
 
 LABEL_SUFFIXES = (*VOLUME_SUFFIXES, ".seg.nrrd")
 SOLVER_SUFFIXES = (".inp", ".feb")

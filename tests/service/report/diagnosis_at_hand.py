@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from palpate.service.diagnosis.run import FinishedDiagnosis
-from palpate.storage.records.typed_json import from_json
-from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.service.diagnosis.diagnosis_run import FinishedDiagnosis
+from palpate.storage.json_digests import from_json
+from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
 
 Json = dict[str, Any]
 SCANS = ("40 N", "80 N")

@@ -4,19 +4,23 @@ from typing import Any
 
 import numpy as np
 
-from palpate.service.diagnosis.run import FinishedDiagnosis
-from palpate.storage.records.typed_json import to_json
+from palpate.service.diagnosis.diagnosis_run import FinishedDiagnosis
+from palpate.storage.json_digests import to_json
 from palpate.storage.values import FloatArray, Volume
-from palpate.workers.comparison.observation.interface import GLANDULAR, OUTLINE, interface_points
-from palpate.workers.comparison.observation.residual import observe
-from palpate.workers.diagnosis.outcome.pictures.cause_map import CauseMap
-from palpate.workers.diagnosis.outcome.pictures.drawings import (
+from palpate.workers.comparison.observation.interface_residual import (
+    GLANDULAR,
+    OUTLINE,
+    interface_points,
+    observe,
+)
+from palpate.workers.diagnosis.outcome.body_pictures import (
     bodies,
     causes,
     loudest_place,
     overlap_rows,
 )
-from palpate.workers.diagnosis.problem.shapes import shapes
+from palpate.workers.diagnosis.outcome.residual_maps import CauseMap
+from palpate.workers.diagnosis.problem.prepared_parts import shapes
 from tests.service.report.diagnosis_at_hand import summary, typed
 
 SCANS = ("40 N", "40 N along x")

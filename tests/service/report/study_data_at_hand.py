@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.service.report.study.bodies import Bodies
-from palpate.service.report.study.data import StudyData
-from palpate.service.results.record import (
+from palpate.service.report.study.study_data import Bodies, StudyData
+from palpate.service.results.result_records import (
     EvaluationCounts,
     GenerationResult,
     GenerationScores,
@@ -17,10 +16,10 @@ from palpate.service.results.record import (
     StageTime,
     StudyResults,
 )
-from palpate.service.study.spec import parse_spec
-from palpate.storage.records.record import EvaluationRecord, SessionRecord
+from palpate.service.study.study_keys import parse_spec
+from palpate.storage.journal_records import EvaluationRecord, SessionRecord
 from palpate.storage.values import Volume
-from palpate.workers.organs.breast.organ import score_by_tissue
+from palpate.workers.organs.breast.breast_organ import score_by_tissue
 
 OUTCOME = {
     "converged": True,

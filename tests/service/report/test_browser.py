@@ -11,13 +11,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from palpate.service.report.diagnosis import page as diagnosis_page
-from palpate.service.report.diagnosis.made import Origin
-from palpate.service.report.study import page as study_page
-from palpate.service.report.study.surfaces import StudySurface
-from palpate.workers.comparison.observation.interface import GLANDULAR, OUTLINE
-from palpate.workers.diagnosis.problem.shapes import shape
-from palpate.workers.mechanics.pressed import Pressed
+from palpate.service.report.diagnosis import diagnosis_page
+from palpate.service.report.study import study_page
+from palpate.service.report.study.page_provenance import Origin
+from palpate.service.report.study.study_data import StudySurface
+from palpate.workers.comparison.observation.interface_residual import GLANDULAR, OUTLINE
+from palpate.workers.diagnosis.problem.prepared_parts import shape
+from palpate.workers.mechanics.fem.loads_and_regions import Pressed
 from tests.service.report.diagnosis_bodies_at_hand import HALF_AXES_MM as AT_REST_MM
 from tests.service.report.diagnosis_bodies_at_hand import NOMINAL_MM, PRESSED_MM, SCANS, found
 from tests.service.report.study_data_at_hand import BODIES, study_data
@@ -73,7 +73,7 @@ def browser() -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
-    told = {"study": study_page.render(study()), "diagnosis": diagnosis()}
+    told = {"study": study_page.render_study(study()), "diagnosis": diagnosis()}
     for name, text in told.items():
         (folder / f"{name}.html").write_text(text)
     return {name: folder / f"{name}.html" for name in told}
@@ -101,7 +101,7 @@ def diagnosis() -> str:
     for when, ends in (("before", NOMINAL_MM), ("after", PRESSED_MM)):
         told.maps[f"moved_{when}"] = np.stack([points / AT_REST_MM * end for end in ends])
     loads = {SCANS[0]: Pressed((0, 1, 0), 40.0), SCANS[1]: Pressed((1, 0, 0), 40.0)}
-    return diagnosis_page.render(told, Origin(loads=loads))
+    return diagnosis_page.render_diagnosis(told, Origin(loads=loads))
 
 
 def shown(browser: Any, path: Path, width: int = WIDE, **options: Any) -> Shown:

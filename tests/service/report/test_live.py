@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from palpate.service.report.study import live
-from palpate.service.report.study.live import LivePage
+from palpate.service.report.study import live_page
+from palpate.service.report.study.live_page import LivePage
 from palpate.storage.errors import StoreError
 from tests.service.report.study_data_at_hand import study_data
 
@@ -27,8 +27,8 @@ def written(monkeypatch: pytest.MonkeyPatch) -> list[float]:
         times.append(time.monotonic())
         return "<p>page</p>"
 
-    monkeypatch.setattr(live, "read_study_data", lambda folder, quick: study_data())
-    monkeypatch.setattr(live, "render", slowly)
+    monkeypatch.setattr(live_page, "read_study_data", lambda folder, quick: study_data())
+    monkeypatch.setattr(live_page, "render_study", slowly)
     return times
 
 
@@ -98,7 +98,7 @@ def test_a_page_that_cannot_be_written_does_not_stop_the_pages(
             raise StoreError("No space left.")
         path.write_bytes(data)
 
-    monkeypatch.setattr(live, "write_file", refuses)
+    monkeypatch.setattr(live_page, "write_file", refuses)
     with LivePage(tmp_path, share=0.9) as page:
         page.started(ANY)
         page.generation_ended(0, ANY)

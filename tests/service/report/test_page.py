@@ -6,10 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from palpate.service.report.study.bodies import Bodies
-from palpate.service.report.study.data import StudyData
-from palpate.service.report.study.page import render
-from palpate.service.results.as_json import study_json
+from palpate.service.report.study.study_data import Bodies, StudyData
+from palpate.service.report.study.study_page import render_study
+from palpate.service.results.results_as_json import study_json
 from tests.service.report.pages import Page
 from tests.service.report.study_data_at_hand import (
     BODIES,
@@ -25,7 +24,7 @@ CASES = {"whole": study_data, "nothing yet": nothing_yet, "perfect": perfect}
 
 @pytest.fixture(scope="module")
 def source() -> str:
-    return render(study_data())
+    return render_study(study_data())
 
 
 @pytest.fixture(scope="module")
@@ -35,14 +34,14 @@ def page(source: str) -> Page:
 
 @pytest.mark.parametrize("made", CASES.values(), ids=CASES)
 def test_page_is_well_formed_and_self_contained(made: Callable[[], StudyData]) -> None:
-    source = render(made())
+    source = render_study(made())
     page = Page(source)
     assert source.startswith("<!DOCTYPE html>")
     page.needs_no_other_file()
 
 
 def test_page_is_reproducible(source: str) -> None:
-    assert render(study_data()) == source
+    assert render_study(study_data()) == source
 
 
 def test_the_verdict_is_a_sentence_with_signed_errors(page: Page) -> None:
@@ -81,8 +80,8 @@ def test_failures_are_shown_with_constants_and_escaped_reason(source: str, page:
 
 def test_many_failures_are_folded() -> None:
     many = tuple(record(i, (5.5, 60.0), status="lost", reason="its worker died") for i in range(25))
-    page = Page(render(study_data(endings=many, results=results(best=None), bodies=Bodies())))
-    assert page.seen.count("details") == Page(render(nothing_yet())).seen.count("details") + 1
+    page = Page(render_study(study_data(endings=many, results=results(best=None), bodies=Bodies())))
+    assert page.seen.count("details") == Page(render_study(nothing_yet())).seen.count("details") + 1
     assert "25 of 25 evaluations have no score" in page.text
 
 
@@ -118,7 +117,7 @@ def test_shows_solver_output_of_best_simulation(page: Page) -> None:
 
 
 def test_page_of_a_new_study_reports_that_nothing_was_evaluated() -> None:
-    text = Page(render(nothing_yet())).text
+    text = Page(render_study(nothing_yet())).text
     assert "No estimates yet" in text
     assert "The search is still running" in text
     assert "No evaluation has a score yet" in text
@@ -126,7 +125,7 @@ def test_page_of_a_new_study_reports_that_nothing_was_evaluated() -> None:
 
 
 def test_infinities_are_drawn_and_printed() -> None:
-    page = Page(render(perfect()))
+    page = Page(render_study(perfect()))
     assert "−∞" in page.text
     labels = ["".join(drawing.itertext()) for drawing in page.drawings()]
     assert any("identical to the target" in text and "failed" in text for text in labels)
@@ -138,23 +137,23 @@ def test_infinities_are_drawn_and_printed() -> None:
 )
 def test_page_shows_that_the_search_is_unfinished(state: str, said: str) -> None:
     unfinished = study_data(results=results(state=state, stop_reason=None), bodies=Bodies())
-    assert said in Page(render(unfinished)).text
+    assert said in Page(render_study(unfinished)).text
 
 
 def test_warns_about_estimate_at_bound() -> None:
     plain = study_data(bodies=Bodies())
-    assert "is at the edge" not in Page(render(plain)).text
+    assert "is at the edge" not in Page(render_study(plain)).text
     estimates = dict(plain.results.estimates)
     estimates["eta_fat"] = replace(estimates["eta_fat"], estimate=199.5)
     at_edge = study_data(results=results(estimates=estimates), bodies=Bodies())
-    assert "ηfat is at the edge" in Page(render(at_edge)).text
+    assert "ηfat is at the edge" in Page(render_study(at_edge)).text
 
 
 @pytest.mark.parametrize("lost", ["reference", "target", "best"])
 def test_shows_other_volumes_if_one_is_lost(lost: str) -> None:
     kept = {name: getattr(BODIES, name) for name in ("reference", "target", "best")}
     bodies = Bodies(**(kept | {lost: None, "missing": (f"The {lost} is gone.",)}))
-    page = Page(render(study_data(bodies=bodies)))
+    page = Page(render_study(study_data(bodies=bodies)))
     assert f"The {lost} is gone." in page.text
     labels = {drawing.get("aria-label", "") for drawing in page.drawings()}
     titles = {"reference": "Undeformed", "target": "Target", "best": "Best candidate"}

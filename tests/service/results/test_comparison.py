@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.service.report.comparison.page import render
-from palpate.service.results.comparison import TABLE, StudyComparison, compare_studies
-from palpate.service.study.spec import StudySpec, differing_settings
+from palpate.service.report.study.comparison_page import render_comparison
+from palpate.service.results.study_comparison import TABLE, StudyComparison, compare_studies
+from palpate.service.study.study_keys import StudySpec, differing_settings
 from palpate.storage.errors import InputError
 from tests.recovery.stand_ins import Inline, run, small_spec
 from tests.recovery.test_strategies import spec_of
@@ -72,7 +72,7 @@ def test_json_record_and_table_agree(comparison: StudyComparison) -> None:
 
 
 def test_the_page_shows_constants_scores_and_settings(comparison: StudyComparison) -> None:
-    page = Page(render(comparison))
+    page = Page(render_comparison(comparison))
     page.needs_no_other_file()
     assert page.row("Constant")[1:] == ["fitted", "searched"]
     assert page.row("Efat")[1].startswith("10 (9.963 to 10.04) kPa")
@@ -81,7 +81,7 @@ def test_the_page_shows_constants_scores_and_settings(comparison: StudyCompariso
     assert "searched, E_fat_kpa: the search has not converged." in page.text
     charts = page.drawings()
     assert len(charts) == 3
-    assert render(comparison) == page.source
+    assert render_comparison(comparison) == page.source
 
 
 def test_labels_studies_of_one_name_by_their_folders(root: Path, tmp_path: Path) -> None:
@@ -89,7 +89,10 @@ def test_labels_studies_of_one_name_by_their_folders(root: Path, tmp_path: Path)
     found = compare_studies([root / "fitted", tmp_path / "again"])
     assert [s.label for s in found.studies] == [str(root / "fitted"), str(tmp_path / "again")]
     assert found.settings == {}
-    assert "None: the study files are identical except for their names." in Page(render(found)).text
+    assert (
+        "None: the study files are identical except for their names."
+        in Page(render_comparison(found)).text
+    )
 
 
 def test_rejects_studies_that_cannot_be_compared(root: Path, tmp_path: Path) -> None:

@@ -9,9 +9,9 @@ from palpate.service.results.identification import (
     identification_from_scatter,
     identification_from_tangents,
 )
-from palpate.service.results.local_model import DEVIATIONS, SearchedConstants
-from palpate.storage.records.tasks import FitJson
-from palpate.workers.mechanics.parameters import BREAST
+from palpate.service.results.intervals import DEVIATIONS, SearchedConstants
+from palpate.storage.values import FitJson
+from palpate.workers.mechanics.model_parameters import BREAST
 
 BOUNDS = {"E_fat": (0.005, 0.02), "eta_fat": (0.05, 0.2)}
 BEST = {"E_fat": 0.01, "eta_fat": 0.1}

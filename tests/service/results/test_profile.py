@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.service.results.profile import Profile, profile_of
-from palpate.service.study.log import StudyLog
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.results.profile_likelihood import Profile, profile_of
+from palpate.service.study.study_folder import StudyLog
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError
 from tests.recovery.stand_ins import SPEC, TASKS, Inline, executions, run, small_spec
 

@@ -6,12 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from palpate.service.results.as_json import candidate_json, study_json
-from palpate.service.results.read import candidate_results, is_running, study_results
-from palpate.service.study.log import StudyLog
+from palpate.service.results.results_as_json import candidate_json, study_json
+from palpate.service.results.results_from_journal import (
+    candidate_results,
+    is_running,
+    study_results,
+)
 from palpate.service.study.loop import Study
-from palpate.service.study.replay import PendingGeneration, SearchReplay
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.study.search_replay import PendingGeneration, SearchReplay
+from palpate.service.study.study_folder import StudyLog
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError
 from tests.recovery.stand_ins import SPEC, Inline, executions, rewrite, run, small_spec
 

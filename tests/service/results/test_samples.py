@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from palpate.service.results.identification import LEVEL, identification_from_tangents
-from palpate.service.results.local_model import LocalModel, SearchedConstants
-from palpate.service.results.posterior import Posterior
-from palpate.service.results.read import study_results
-from palpate.service.results.record import StudyResults
-from palpate.service.results.samples import Samples, constants_with_samples, draw_samples
+from palpate.service.results.intervals import LocalModel, Posterior, SearchedConstants
+from palpate.service.results.posterior_samples import Samples, constants_with_samples, draw_samples
+from palpate.service.results.result_records import StudyResults
+from palpate.service.results.results_from_journal import study_results
 from palpate.storage.errors import InputError
-from palpate.workers.mechanics.parameters import BREAST
+from palpate.workers.mechanics.model_parameters import BREAST
 from tests.recovery.stand_ins import Inline, run
 from tests.recovery.test_strategies import spec_of
 from tests.service.results.test_identification import BOUNDS, fit, orthogonal

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.service.search.space import Space
+from palpate.service.search.search_interface import Space
 
 
 def contains(space: Space, genes: NDArray[np.float64]) -> bool:

@@ -11,10 +11,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from palpate.service.search.base import FloatArray, Generation, Proposal
-from palpate.service.search.genetic import GeneticSearch, GeneticSettings
-from palpate.service.search.operators import Gaussian, Mutation, uniform_population
-from palpate.service.search.space import Space
+from palpate.service.search.genetic_search import (
+    Gaussian,
+    GeneticSearch,
+    GeneticSettings,
+    Mutation,
+    uniform_population,
+)
+from palpate.service.search.search_interface import FloatArray, Generation, Proposal, Space
 
 SPACE = Space.from_bounds(
     {

@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
-from palpate.service.search.descent import SquaredSum, Tolerance, advance, begin
-from palpate.service.search.log_space import LogSpace
-from palpate.service.search.space import FloatArray, Space
+from palpate.service.search.least_squares_search import (
+    SquaredSum,
+    Tolerance,
+    advance_descent,
+    begin_descent,
+)
+from palpate.service.search.search_interface import FloatArray, LogSpace, Space
 
 LOGS = LogSpace(Space.from_bounds({"x": (-4, 4), "y": (-4, 16)}))
 TOLERANCE = Tolerance(0.01)
@@ -25,22 +29,22 @@ def valley(at: FloatArray) -> SquaredSum:
 @pytest.mark.parametrize("start", [(-2.0, 4.0), (0.5, 6.0), (-3.5, 0.0)])
 def test_descent_follows_a_curved_valley_to_its_minimum(start: tuple[float, float]) -> None:
     """Along the floor, in steps of a tenth of its width, it would take a hundred."""
-    descent = begin(LOGS.coordinates(np.array(start)))
+    descent = begin_descent(LOGS.coordinates(np.array(start)))
     costs = []
     while descent.state == "running":
-        descent = advance(descent, valley(descent.trial), LOGS, TOLERANCE, 40)
+        descent = advance_descent(descent, valley(descent.trial), LOGS, TOLERANCE, 40)
         costs.append(descent.cost)
     assert costs == sorted(costs, reverse=True)
     np.testing.assert_allclose(LOGS.genes(descent.at), FLOOR, atol=0.02)
 
 
 def test_rejects_a_second_step_that_fails() -> None:
-    descent = begin(LOGS.coordinates(np.array([-2.0, 4.0])))
-    descent = advance(descent, valley(descent.trial), LOGS, TOLERANCE, 40)
-    descent = advance(descent, valley(descent.trial), LOGS, TOLERANCE, 40)
+    descent = begin_descent(LOGS.coordinates(np.array([-2.0, 4.0])))
+    descent = advance_descent(descent, valley(descent.trial), LOGS, TOLERANCE, 40)
+    descent = advance_descent(descent, valley(descent.trial), LOGS, TOLERANCE, 40)
     assert descent.second
     before = descent.at
-    descent = advance(descent, None, LOGS, TOLERANCE, 40)
+    descent = advance_descent(descent, None, LOGS, TOLERANCE, 40)
     assert not descent.second
     assert descent.radius < 0.7 / 2
     np.testing.assert_array_equal(descent.at, before)

@@ -1,21 +1,13 @@
 """Space-filling designs: balance and reproducibility."""
 
-import doctest
-
 import numpy as np
 import pytest
 
-from palpate.service.search import designs
-from palpate.service.search.designs import DESIGNS, design
-from palpate.service.search.space import Space
+from palpate.service.search.search_interface import Space
+from palpate.service.search.space_filling import DESIGNS, design
 from palpate.storage.errors import InputError
 
 SPACE = Space.from_bounds({"E_fat_kpa": (5, 20), "E_glandular_kpa": (5, 80), "nu": (0.45, 0.49)})
-
-
-def test_doctests() -> None:
-    assert doctest.testmod(designs).attempted
-    assert doctest.testmod(designs).failed == 0
 
 
 @pytest.mark.parametrize("kind", DESIGNS)

@@ -10,11 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.service.search.base import FloatArray, Generation, Proposal, Stopped
-from palpate.service.search.genetic import GeneticSearch, GeneticSettings
-from palpate.service.search.operators import Gaussian, latin_hypercube
-from palpate.service.search.space import Space
-from palpate.service.search.stall import Stall
+from palpate.service.search.genetic_search import (
+    Gaussian,
+    GeneticSearch,
+    GeneticSettings,
+    latin_hypercube,
+)
+from palpate.service.search.search_interface import (
+    FloatArray,
+    Generation,
+    Proposal,
+    Space,
+    Stall,
+    Stopped,
+)
 from palpate.storage.errors import InputError
 from tests.service.search.boxes import contains
 

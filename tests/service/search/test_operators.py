@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.service.search.operators import (
+from palpate.service.search.genetic_search import (
     INITIAL,
     MUTATIONS,
     AdaptiveFeasible,
+    BreedingProgress,
     Gaussian,
     Mutation,
-    Progress,
     latin_hypercube,
     rank_expectation,
     reflect,
@@ -19,7 +19,7 @@ from palpate.service.search.operators import (
     stochastic_uniform,
     uniform_population,
 )
-from palpate.service.search.space import Space
+from palpate.service.search.search_interface import Space
 from palpate.storage.errors import InputError
 from tests.service.search.boxes import contains
 
@@ -28,8 +28,8 @@ seeds = st.integers(0, 2**32 - 1)
 sizes = st.integers(2, 90)
 
 
-def progress(*bests: float, generations: int = 15) -> Progress:
-    return Progress(len(bests), generations, np.array(bests))
+def progress(*bests: float, generations: int = 15) -> BreedingProgress:
+    return BreedingProgress(len(bests), generations, np.array(bests))
 
 
 # --- expectation -------------------------------------------------------------
@@ -151,7 +151,7 @@ def test_children_stay_within_bounds_even_from_a_corner(seed: int, name: str, ag
     corners = BOX.from_unit(rng.integers(0, 2, size=(16, 3)).astype(np.float64))
     parents = np.concatenate([corners, uniform_population(rng, 4, BOX)])
     bests = np.minimum.accumulate(rng.standard_normal(age))
-    children = MUTATIONS[name](rng, parents, BOX, Progress(age, 15, bests))
+    children = MUTATIONS[name](rng, parents, BOX, BreedingProgress(age, 15, bests))
     assert children.shape == parents.shape
     assert contains(BOX, children)
     assert not np.array_equal(children, parents)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.service.search.space import Space
+from palpate.service.search.search_interface import Space
 from palpate.storage.errors import InputError
 from tests.service.search.boxes import contains
 

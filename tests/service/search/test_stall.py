@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from palpate.service.search.stall import Rule, Stall
+from palpate.service.search.search_interface import Stall, StallRule
 from palpate.storage.errors import InputError
 
 
-def change(rule: Rule, bests: list[float], window: int, tolerance: float) -> bool:
+def change(rule: StallRule, bests: list[float], window: int, tolerance: float) -> bool:
     """Return True if the rule stops the search."""
     stall = Stall(generations=window, tolerance=tolerance, rule=rule)
     return stall.reason(np.array(bests)) is not None
@@ -53,7 +53,7 @@ def test_weighted_rule_matches_hand_calculation(
 
 
 @pytest.mark.parametrize("rule", ["relative", "weighted"])
-def test_stall_needs_five_steps_without_change(rule: Rule) -> None:
+def test_stall_needs_five_steps_without_change(rule: StallRule) -> None:
     stall = Stall(rule=rule)
     assert stall.reason(np.full(5, -3.0)) is None  # five generations are four steps
     reason = stall.reason(np.full(6, -3.0))
@@ -71,7 +71,7 @@ def test_weighted_rule_forgets_an_old_step_and_relative_does_not() -> None:
 
 
 @pytest.mark.parametrize("rule", ["relative", "weighted"])
-def test_infinite_scores_are_never_subtracted(rule: Rule) -> None:
+def test_infinite_scores_are_never_subtracted(rule: StallRule) -> None:
     stall = Stall(generations=2, tolerance=1e300, rule=rule)
     inf = np.inf
     # The step from failure to success is the largest there is.

@@ -9,18 +9,24 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from palpate.service.search.base import Generation, Proposal, Search, Stopped
 from palpate.service.search.cma_search import CmaSearch, CmaSettings
-from palpate.service.search.genetic import GeneticSearch, GeneticSettings
-from palpate.service.search.least_squares import (
+from palpate.service.search.genetic_search import GeneticSearch, GeneticSettings
+from palpate.service.search.least_squares_search import (
     NEW_STARTS,
     FittedNames,
     LeastSquaresSearch,
     LeastSquaresSettings,
+    PolishedSearch,
 )
-from palpate.service.search.polished import PolishedSearch
-from palpate.service.search.space import FloatArray, Space
-from palpate.storage.records.tasks import FitJson
+from palpate.service.search.search_interface import (
+    FloatArray,
+    Generation,
+    Proposal,
+    Search,
+    Space,
+    Stopped,
+)
+from palpate.storage.values import FitJson
 from tests.service.search.boxes import contains
 
 SPACE = Space.from_bounds({"E_kpa": (5, 80), "eta_kpa": (50, 200)})

@@ -6,15 +6,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.service.search.base import FloatArray, Generation, Proposal, Search
 from palpate.service.search.constraints import Constraint, Constraints
-from palpate.service.search.least_squares import FittedNames
-from palpate.service.search.log_scale import LogScale
-from palpate.service.search.spec import SearchSpec
-from palpate.service.search.strategies import SearchRequest, strategy_named
+from palpate.service.search.least_squares_search import FittedNames
+from palpate.service.search.search_interface import (
+    FloatArray,
+    Generation,
+    LogScale,
+    Proposal,
+    Search,
+)
+from palpate.service.search.search_keys import SearchRequest, SearchSpec, strategy_named
 from palpate.storage.errors import InputError
 from palpate.testing import check_search
-from palpate.workers.spec import validated
+from palpate.workers.common_keys import validated
 
 BOUNDS = {"E_fat_kpa": [5, 80], "E_glandular_kpa": [5, 80]}
 TRUTH = np.array([12.0, 47.0])

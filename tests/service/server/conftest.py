@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from palpate.service.remote.client import Client
+from palpate.service.remote_client import Client
 from tests.service.server.service_process import ServiceProcess, running_service
 
 

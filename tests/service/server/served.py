@@ -8,12 +8,12 @@ FOLDER/url.
 import sys
 from pathlib import Path
 
-from palpate.service.cluster.open import open_cluster
-from palpate.service.commands.interrupts import stop_requests
-from palpate.service.server.http.serve import listen, serve, url_of
-from palpate.service.server.jobs.limits import Limits
-from palpate.service.server.service import open_service
-from palpate.storage.backends.atomic import write_file
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.errors_and_interrupts import stop_requests
+from palpate.service.server.http.http_server import listen, serve, url_of
+from palpate.service.server.jobs.untrusted_inputs import Limits
+from palpate.service.server.running_service import open_service
+from palpate.storage.backends.atomic_files import write_file
 from tests.recovery.stand_ins import TASKS
 from tests.service.server import with_bodies
 

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from palpate.service.remote.client import Client
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.remote_client import Client
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import JournalError
-from palpate.storage.records.journal import Journal
+from palpate.storage.journal import Journal
 
 TOKEN = "a-token-of-the-tests"
 SERVED = Path(__file__).parent / "served.py"

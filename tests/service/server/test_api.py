@@ -8,10 +8,10 @@ import httpx
 import pytest
 
 import palpate
-from palpate.service.remote.client import Client
-from palpate.service.server.api import JobView
+from palpate.service.remote_client import Client
+from palpate.service.server.api_models import JobView
 from palpate.storage.errors import InputError, StoreError
-from palpate.storage.records.seal import unseal
+from palpate.storage.json_digests import unseal
 from tests.recovery.stand_ins import SPEC, Inline, executed, run, set_manners, small_spec, told
 from tests.service.server.service_process import TOKEN, ServiceProcess, until_stopped
 

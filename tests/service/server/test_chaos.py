@@ -20,9 +20,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from palpate.service.cluster.open import ALLOWED_FAILURES
-from palpate.storage.backends.layout import StudyLayout
-from palpate.storage.records.journal import Journal
+from palpate.service.cluster.dask_cluster import ALLOWED_FAILURES
+from palpate.storage.backends.store_paths import StudyLayout
+from palpate.storage.journal import Journal
 from tests.recovery.processes import ROOT, unused_port
 from tests.recovery.stand_ins import SPEC, Inline, executed, run, set_manners, small_spec, told
 from tests.service.server.service_process import ServiceProcess

@@ -13,7 +13,7 @@ import pytest
 
 import palpate
 from palpate.service.cli import main
-from palpate.service.server.jobs.tokens import Tokens
+from palpate.service.server.jobs.home_and_tokens import Tokens
 from palpate.storage.errors import InputError
 
 PALPATE = [sys.executable, "-m", "palpate"]

@@ -13,8 +13,8 @@ import pytest
 import uvicorn
 from starlette.types import Receive, Scope, Send
 
-from palpate.service.server.http.connections import Connection, RequestLimit, most_connections
-from palpate.service.server.http.serve import listen, url_of
+from palpate.service.server.http.http_server import listen, url_of
+from palpate.service.server.http.request_checks import Connection, RequestLimit, most_connections
 from tests.service.server.service_process import ServiceProcess
 
 HALF = b"GET /api/v1/health HTTP/1.1\r\nHost: localhost\r\n"
@@ -124,7 +124,7 @@ def test_running_requests_are_limited_and_waiting_connections_are_not() -> None:
 
 
 def test_closes_longest_waiting_connection(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("palpate.service.server.http.connections.MOST_CONNECTIONS", 16)
+    monkeypatch.setattr("palpate.service.server.http.request_checks.MOST_CONNECTIONS", 16)
     assert most_connections() == 16
     monkeypatch.setattr(Hasty, "header_s", 30.0)
     with ExitStack() as stack:

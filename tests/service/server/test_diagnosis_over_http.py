@@ -17,10 +17,10 @@ import pytest
 
 import palpate
 from palpate.service.cli import main
-from palpate.service.diagnosis.run import request_for
-from palpate.service.remote.client import Client, JobEvent
+from palpate.service.diagnosis.diagnosis_run import request_for
+from palpate.service.remote_client import Client, JobEvent
 from palpate.storage.errors import InputError, StoreError
-from palpate.workers.body.phantom.breast import generate_breast
+from palpate.workers.body.phantom.phantom_generation import generate_breast
 from tests.service.diagnosis.compressed_breast import (
     PHANTOM,
     PRESSED,
@@ -81,7 +81,7 @@ def few_suspects(monkeypatch: pytest.MonkeyPatch) -> None:
     def few(source: Any, store: Any, nodes: int) -> Any:
         return request_for(source, store, nodes, effects=SUSPECTS)
 
-    monkeypatch.setattr("palpate.service.commands.diagnoses.diagnosing.request_for", few)
+    monkeypatch.setattr("palpate.service.commands.studies.diagnosing.request_for", few)
 
 
 def steps(events: list[JobEvent]) -> list[tuple[str, int, int]]:

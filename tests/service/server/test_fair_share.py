@@ -2,7 +2,7 @@
 
 import random
 
-from palpate.service.server.jobs.fair_share import FairShare, JobSlots
+from palpate.service.server.jobs.job_runner import FairShare, JobSlots
 
 
 def simulate(

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from palpate.service.remote.client import Client
+from palpate.service.remote_client import Client
 from tests.recovery.stand_ins import SPEC, Inline, executed, run, set_manners, small_spec, told
 from tests.service.server.service_process import (
     TOKEN,

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from palpate.service.server.jobs.queue import Action, Queue, StateError
+from palpate.service.server.jobs.job_queue import Action, Queue, StateError
 from palpate.storage.errors import JournalError
 
 

@@ -9,14 +9,19 @@ from typing import Any
 import pytest
 from fastapi import HTTPException
 
-from palpate.service.server.http.access import check_may_change, still_reads, writer
-from palpate.service.server.jobs.helper_process import helper_command, helper_environment
-from palpate.service.server.jobs.queue import Job
-from palpate.service.server.jobs.study_job import ReportError, write_report
-from palpate.service.server.jobs.tokens import Owner, Tokens, take_token
-from palpate.service.server.public_text import public
+from palpate.service.server.api_models import public_text
+from palpate.service.server.http.request_checks import check_may_change, still_reads, writer
+from palpate.service.server.jobs.home_and_tokens import (
+    Owner,
+    Tokens,
+    helper_command,
+    helper_environment,
+    take_token,
+)
+from palpate.service.server.jobs.job_queue import Job
+from palpate.service.server.jobs.study_and_diagnosis_jobs import ReportError, write_report
 from palpate.storage.errors import InputError, StoreError
-from palpate.storage.plain import dumps
+from palpate.storage.json_digests import dumps
 
 
 def job(owner: str) -> Job:
@@ -85,13 +90,13 @@ def test_removes_token_from_environment(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_messages_show_no_path_and_no_traceback() -> None:
-    shown = public(
+    shown = public_text(
         "A task crashed on /home/ann/runs/.service/uploads/f/case.yaml (in '/etc/x/y.py'):\n"
         'Traceback (most recent call last):\n  File "/opt/palpate/x.py", line 3'
     )
     assert shown == "A task crashed on case.yaml (in 'y.py'):"
     for text in ("0.5 N/mm", "and/or", "s3://bucket/store", "a / b", "FOLDER/FILE"):
-        assert public(text) == text
+        assert public_text(text) == text
 
 
 def test_a_helper_imports_nothing_from_the_folder_it_runs_in(tmp_path: Path) -> None:

@@ -11,10 +11,10 @@ import httpx
 import pytest
 import yaml
 
-from palpate.service.remote.client import Client
-from palpate.service.server.jobs.yaml import parsed_text, refuse_paths
+from palpate.service.remote_client import Client
+from palpate.service.server.jobs.untrusted_inputs import parsed_text, refuse_paths
 from palpate.storage.errors import InputError
-from palpate.workers.documents import parse_yaml
+from palpate.workers.input_files import parse_yaml
 from tests.recovery.stand_ins import SPEC
 from tests.service.server.service_process import TOKEN, ServiceProcess, running_service
 

@@ -12,9 +12,9 @@ import pytest
 import yaml
 
 import palpate
-from palpate.service.study.log import read_study
-from palpate.storage.stores.store import open_store
-from palpate.storage.upkeep.check import check_store
+from palpate.service.study.study_folder import read_study
+from palpate.storage.store import open_store
+from palpate.storage.upkeep import check_store
 from tests.recovery.processes import plain_cluster, unused_port
 
 STUDY = """

@@ -9,12 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from palpate.service.server.jobs.diagnosis_job import bring_source
-from palpate.service.server.jobs.limits import Limits
-from palpate.service.server.jobs.submissions import study_from
-from palpate.service.server.jobs.uploads import TooLargeError, Uploads
+from palpate.service.server.jobs.study_and_diagnosis_jobs import bring_source
+from palpate.service.server.jobs.untrusted_inputs import Limits, TooLargeError, Uploads, study_from
 from palpate.storage.errors import InputError
-from palpate.storage.stores.store import open_store
+from palpate.storage.store import open_store
 from tests.cases.bench.bench_cases import described, write
 from tests.recovery.stand_ins import SPEC
 
@@ -85,7 +83,7 @@ def test_checking_an_upload_does_not_stop_the_event_loop(
         threads.append(threading.current_thread())
         time.sleep(0.3)
 
-    monkeypatch.setattr("palpate.service.server.jobs.uploads._check", slow)
+    monkeypatch.setattr("palpate.service.server.jobs.untrusted_inputs._check_upload", slow)
     uploads = Uploads(tmp_path, Limits())
 
     async def run() -> float:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from palpate.storage.stores.store import open_store
-from palpate.storage.stores.volumes import save_volume
+from palpate.storage.store import open_store
+from palpate.storage.stored_arrays import save_volume
 from palpate.storage.values import Tissue, Volume
 from tests.recovery import stand_ins
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from palpate.service.export import export_volume
-from palpate.service.search.strategies import GENETIC, Strategy
+from palpate.service.search.search_keys import GENETIC, Strategy
 from palpate.service.study import preflight as preflight_module
 from palpate.service.study.preflight import preflight
-from palpate.service.study.spec import StudySpec, parse_spec
+from palpate.service.study.study_keys import StudySpec, parse_spec
 from palpate.storage.errors import InputError
 from palpate.storage.values import Volume
-from palpate.workers.body.phantom.breast import generate_breast
-from palpate.workers.body.phantom.settings import BreastPhantom
+from palpate.workers.body.phantom.phantom_generation import generate_breast
+from palpate.workers.body.phantom.phantom_settings import BreastPhantom
 
 IMAGES = """
 name: imaged
@@ -87,9 +87,9 @@ def drawn(old: str = "", new: str = "") -> StudySpec:
 
 
 def changed(place: Path, file: str, change: Callable[[Volume], Volume]) -> None:
-    from palpate.workers.body.images.read import read_volume
+    from palpate.workers.body.images.image_formats import read_volume_file
 
-    export_volume(place / file, change(read_volume(place / file)))
+    export_volume(place / file, change(read_volume_file(place / file)))
 
 
 def test_accepts_two_images_of_one_breast_without_warnings(place: Path, tmp_path: Path) -> None:

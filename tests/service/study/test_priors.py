@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 import palpate
-from palpate.service.results.as_json import study_json
-from palpate.service.results.quotable import EstimateFacts, quotability
-from palpate.service.results.read import study_results
-from palpate.service.search.spec import SearchSpec
-from palpate.service.study.spec import parse_spec
+from palpate.service.results.quotability_rule import EstimateFacts, quotability
+from palpate.service.results.results_as_json import study_json
+from palpate.service.results.results_from_journal import study_results
+from palpate.service.search.search_keys import SearchSpec
+from palpate.service.study.study_keys import parse_spec
 from palpate.storage.errors import InputError
-from palpate.storage.records.tasks import FreeParameter
+from palpate.storage.values import FreeParameter
+from palpate.workers.common_keys import validated
 from palpate.workers.organs.normal_equations import NormalEquations
-from palpate.workers.spec import validated
 from palpate.workers.tasks.pipeline import with_priors
 from tests.recovery.stand_ins import SPEC, Inline, run
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from palpate.service.study.observers.progress import (
+from palpate.service.study.study_progress import (
     LiveProgress,
     PlainProgress,
     clock,

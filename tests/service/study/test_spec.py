@@ -6,10 +6,10 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from palpate.service.study.spec import StudySpec, differences, parse_spec, read_spec
+from palpate.service.study.study_keys import StudySpec, differences, parse_spec, read_spec
 from palpate.service.templates import template
 from palpate.storage.errors import InputError
-from palpate.workers.spec import explain
+from palpate.workers.common_keys import explain
 
 SPEC = """
 name: demo

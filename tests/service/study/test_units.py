@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.quantities import not_neutral, quantities_inside
-from palpate.service.results.read import candidate_results
-from palpate.storage.digest import digest
-from palpate.workers.organs.breast.effects import BREAST_MODEL
-from palpate.workers.tasks import evaluation
+from palpate.service.number_formatting import not_neutral, quantities_inside
+from palpate.service.results.results_from_journal import candidate_results
+from palpate.storage.json_digests import digest
+from palpate.workers.organs.breast.breast_effects import BREAST_MODEL
+from palpate.workers.tasks import study_tasks
 from tests.recovery.stand_ins import SPEC, Inline, run, small_spec
 
 Printed = Callable[..., str]
@@ -43,7 +43,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> None:
             "status": "done",
             "reason": "",
             "outcome": {"plate_force_n": 40.0, "newton_iterations": [3, 4], "min_j": 0.7},
-            "constants": evaluation.case_of(case).complete(constants),
+            "constants": study_tasks.case_of(case).complete(constants),
             "seconds": {"solve": 1.25},
             "worker": "here",
             "volume": None,

@@ -4,20 +4,21 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants
-from palpate.workers.thesis.bar import (
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants
+from palpate.workers.thesis.coefficient_choice import (
+    BAR_LENGTH_MM,
+    BAR_SIDE_MM,
     DEFORMATIONS,
     GEL,
     GOLD_FORCE_N,
     GROUPS,
-    LENGTH_MM,
-    SIDE_MM,
     BarExperiment,
     bend,
     force_of,
     make_bar,
+    monotone_in_groups,
+    select,
 )
-from palpate.workers.thesis.selection import monotone_in_groups, select
 from tests.service.thesis.thesis_at_hand import bar_experiment
 
 
@@ -34,9 +35,9 @@ def test_small_deflection_matches_timoshenko() -> None:
     force = GOLD_FORCE_N / 100
     displacement, outcome = bend(bar, (-force, 0.0, 0.0), gel)
     assert outcome.converged
-    exact = force * LENGTH_MM**3 / (3 * gel.young_mpa * SIDE_MM**4 / 12)
-    exact += force * LENGTH_MM / (5 / 6 * gel.mu_mpa * SIDE_MM**2)  # 5/6 for a rectangle
-    end = bar.mesh.nodes[:, 2] > LENGTH_MM - 1e-6
+    exact = force * BAR_LENGTH_MM**3 / (3 * gel.young_mpa * BAR_SIDE_MM**4 / 12)
+    exact += force * BAR_LENGTH_MM / (5 / 6 * gel.mu_mpa * BAR_SIDE_MM**2)  # 5/6 for a rectangle
+    end = bar.mesh.nodes[:, 2] > BAR_LENGTH_MM - 1e-6
     assert -displacement[end, 0].mean() == pytest.approx(exact, rel=0.025)
 
 
@@ -55,7 +56,7 @@ def test_all_converge_and_mirrored_loads_give_mirrored_bars(experiment: BarExper
     tip = {row.number: np.asarray(row.tip_mm) for row in experiment.rows}
     assert tip[5] == pytest.approx(tip[2] * (-1, 1, 1), abs=0.02)
     assert tip[7] == pytest.approx(tip[6] * (1, -1, 1), abs=0.02)
-    assert experiment.gold_tip_mm[0] == pytest.approx(-SIDE_MM, rel=0.1)
+    assert experiment.gold_tip_mm[0] == pytest.approx(-BAR_SIDE_MM, rel=0.1)
 
 
 @pytest.mark.slow

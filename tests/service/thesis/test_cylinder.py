@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.thesis.cylinder import (
-    LENGTH_MM,
-    RADIUS_MM,
+from palpate.workers.thesis.coefficient_choice import (
+    CYLINDER_LENGTH_MM,
+    CYLINDER_RADIUS_MM,
     CylinderRow,
     cylinder,
     cylinder_experiment,
@@ -30,10 +30,10 @@ def crossed_overlap(angle_deg: float) -> tuple[float, float]:
     """
     turn = math.radians(angle_deg)
     s, c = math.sin(turn), abs(math.cos(turn))
-    if not RADIUS_MM * (1 + c) < LENGTH_MM / 2 * s:
+    if not CYLINDER_RADIUS_MM * (1 + c) < CYLINDER_LENGTH_MM / 2 * s:
         raise InputError(f"At {angle_deg:g} degrees the cylinders overlap up to their ends.")
-    common = 16 * RADIUS_MM**3 / (3 * s)
-    whole = math.pi * RADIUS_MM**2 * LENGTH_MM
+    common = 16 * CYLINDER_RADIUS_MM**3 / (3 * s)
+    whole = math.pi * CYLINDER_RADIUS_MM**2 * CYLINDER_LENGTH_MM
     return common / (2 * whole - common), common / whole
 
 
@@ -54,7 +54,7 @@ def test_overlap_of_crossed_cylinders_converges_to_steinmetz_solid(angle: float)
 
 
 def test_volume_does_not_depend_on_the_angle() -> None:
-    exact = math.pi * RADIUS_MM**2 * LENGTH_MM
+    exact = math.pi * CYLINDER_RADIUS_MM**2 * CYLINDER_LENGTH_MM
     for angle in (0.0, 33.0, 90.0):
         volume = cylinder(angle, 0.5)
         assert np.count_nonzero(volume.values) * volume.voxel_mm3 == pytest.approx(exact, rel=0.01)

@@ -7,19 +7,22 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.mesh.hierarchy import build_hierarchy
-from palpate.workers.body.phantom.breast import Phantom, generate_breast
-from palpate.workers.mechanics.fem.problem.loads import DistanceControl
-from palpate.workers.mechanics.materials.neo_hookean import NeoHookean
-from palpate.workers.thesis.compression import (
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
+from palpate.workers.body.phantom.phantom_generation import Phantom, generate_breast
+from palpate.workers.mechanics.fem.loads_and_regions import DistanceControl
+from palpate.workers.mechanics.materials.polynomial_laws import NeoHookean
+from palpate.workers.thesis.mesh_quality import MeshKind, QualityRow, aspect_rows, made_mesh, row_of
+from palpate.workers.thesis.phantom_compression import (
+    REDUCED,
     Compressed,
     compared,
     compress,
     compression_problem,
     constants_of,
+    density_of,
+    thesis_phantom,
+    two_materials,
 )
-from palpate.workers.thesis.mesh_quality import MeshKind, QualityRow, aspect_rows, made_mesh, row_of
-from palpate.workers.thesis.phantoms import REDUCED, density_of, thesis_phantom, two_materials
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.registry import organ_spec
-from palpate.workers.spec import validated
-from palpate.workers.tasks.mammogram import take_view
-from palpate.workers.thesis.identification import TARGETS, case_of
+from palpate.workers.common_keys import validated
+from palpate.workers.organs.organ_plugins import organ_spec
+from palpate.workers.tasks.mammogram_tasks import take_view
+from palpate.workers.thesis.phantom_compression import TARGETS, case_of
 
 
 @pytest.fixture(scope="module")

@@ -8,18 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palpate.service.thesis import printed
-from palpate.service.thesis.book import render
-from palpate.service.thesis.experiments import SHOWN_PHANTOM
-from palpate.service.thesis.mesh_sections import mesh_sections
-from palpate.service.thesis.results import ThesisResults
-from palpate.service.thesis.verdict import at_most, equal
-from palpate.service.thesis.verdicts import verdicts
-from palpate.storage.plain import to_plain
-from palpate.storage.records.typed_json import from_json, to_json
-from palpate.workers.tasks.thesis.mammograms import Expose, ExposedPhantom
-from palpate.workers.tasks.thesis.parts import Spent
-from palpate.workers.thesis.compression import AXES
+from palpate.service.thesis import printed_results
+from palpate.service.thesis.chapter_elements import mesh_sections
+from palpate.service.thesis.thesis_book import render
+from palpate.service.thesis.thesis_experiments import SHOWN_PHANTOM
+from palpate.service.thesis.thesis_results import ThesisResults
+from palpate.service.thesis.thesis_verdicts import at_most, equal, verdicts
+from palpate.storage.json_digests import from_json, to_json, to_plain
+from palpate.workers.tasks.thesis_tasks import Expose, ExposedPhantom, Spent
+from palpate.workers.thesis.phantom_compression import AXES
 from tests.service.report.pages import Page
 from tests.service.thesis.thesis_at_hand import search_result, whole
 
@@ -73,7 +70,7 @@ def test_tables_compare_printed_numbers_with_ours(page: Page) -> None:
 
 def test_printed_statistics_match_the_printed_rows() -> None:
     # Those of Table 4.6 do not match, as its note explains.
-    for target, table in printed.SEARCHES.items():
+    for target, table in printed_results.SEARCHES.items():
         fit = []
         for n, mean in enumerate(table.mean):
             values = [row.constants_kpa[n] for row in table.rows]

@@ -12,25 +12,33 @@ from typing import Any, ClassVar
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.cluster.dispatch import Ending
-from palpate.service.errors import Interrupted
-from palpate.service.thesis import estimate as estimating
-from palpate.service.thesis import run as running
-from palpate.service.thesis.estimate import estimate, shipped_seconds
-from palpate.service.thesis.experiments import EXPERIMENTS, Phase, compressions, phases_of
-from palpate.service.thesis.run import Step, ThesisRequest, run_thesis
-from palpate.service.thesis.search import GENETIC, search_runs, study_of_run
+from palpate.service.cluster.task_dispatch import Ending
+from palpate.service.errors_and_interrupts import Interrupted
+from palpate.service.thesis import remaining_time as estimating
+from palpate.service.thesis import thesis_experiments as running
+from palpate.service.thesis.remaining_time import estimate, shipped_seconds
+from palpate.service.thesis.thesis_experiments import (
+    EXPERIMENTS,
+    GENETIC,
+    Phase,
+    Step,
+    ThesisRequest,
+    compressions,
+    phases_of,
+    run_thesis,
+    search_runs,
+    study_of_run,
+)
 from palpate.storage.errors import InputError
-from palpate.workers.tasks.thesis.coefficients import Bend
-from palpate.workers.tasks.thesis.parts import Request, Spent, Timed
-from palpate.workers.thesis.identification import BOUNDS, TARGETS, runs_at
+from palpate.workers.tasks.thesis_tasks import Bend, Request, Spent, Timed
+from palpate.workers.thesis.phantom_compression import BOUNDS, TARGETS, runs_at
 
 
 @dataclass(frozen=True)
 class Stub(Request):
     """A part without cost."""
 
-    MODULE: ClassVar[str] = "palpate.workers.tasks.thesis.parts"
+    MODULE: ClassVar[str] = "palpate.workers.tasks.thesis_tasks"
 
     number: int
 

@@ -5,30 +5,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.workers.tasks.thesis.coefficients import (
+from palpate.workers.tasks.thesis_tasks import (
     Bend,
     Compare,
     ComparedBars,
+    ComparedMeshes,
+    ComparePressed,
+    Expose,
+    ExposedPhantom,
+    Measure,
+    MeasuredMesh,
+    Press,
+    Timed,
     Turn,
     TurnedCylinder,
     bend_bar,
     compare_bars,
-    turn_cylinder,
-)
-from palpate.workers.tasks.thesis.mammograms import Expose, ExposedPhantom, take_mammograms
-from palpate.workers.tasks.thesis.meshes import (
-    ComparedMeshes,
-    ComparePressed,
-    Measure,
-    MeasuredMesh,
-    Press,
     compare_pressed,
     coronal_section,
     measure_mesh,
     press_phantom,
+    take_mammograms,
+    turn_cylinder,
 )
-from palpate.workers.tasks.thesis.parts import Timed
-from palpate.workers.thesis.bar import DEFORMATIONS
+from palpate.workers.thesis.coefficient_choice import DEFORMATIONS
 from palpate.workers.thesis.mesh_quality import BINS, MEASURES
 from tests.service.thesis.thesis_at_hand import bar_experiment
 

@@ -2,8 +2,8 @@
 
 import math
 
-from palpate.service.thesis.experiments import EXPERIMENTS
-from palpate.service.thesis.results import (
+from palpate.service.thesis.thesis_experiments import EXPERIMENTS
+from palpate.service.thesis.thesis_results import (
     CoefficientsResult,
     Cost,
     Exposed,
@@ -16,23 +16,23 @@ from palpate.service.thesis.results import (
     ThesisResults,
     Varied,
 )
-from palpate.workers.body.mesh.adaptive.agreement import Agreement
-from palpate.workers.comparison.coefficients.coefficients import Coefficients
-from palpate.workers.mechanics.fem.problem.outcome import Outcome
-from palpate.workers.thesis.bar import (
+from palpate.workers.body.mesh.mesher_comparison import Agreement
+from palpate.workers.comparison.similarity_score import Coefficients
+from palpate.workers.mechanics.fem.boundary_value_problem import Outcome
+from palpate.workers.thesis.coefficient_choice import (
+    ANGLES_DEG,
     DEFORMATIONS,
     BarExperiment,
     BarRow,
+    CylinderRow,
     bend,
     compared_bars,
     force_of,
     make_bar,
+    select,
 )
-from palpate.workers.thesis.cylinder import ANGLES_DEG, CylinderRow
-from palpate.workers.thesis.identification import PHANTOMS, TARGETS, TargetName
 from palpate.workers.thesis.mesh_quality import BINS, MEASURES, MeshKind, QualityRow, aspect_rows
-from palpate.workers.thesis.scale import Scale
-from palpate.workers.thesis.selection import select
+from palpate.workers.thesis.phantom_compression import SEARCH_PHANTOMS, TARGETS, Scale, TargetName
 
 
 def bar_experiment(scale: Scale) -> BarExperiment:
@@ -90,7 +90,6 @@ def mesh_result() -> MeshResult:
         for n in (3, 8)
         for kind, aspect, worst in (
             ("adaptive", 1.47, 5.96), ("adaptive 1 mm", 1.5, 6.0), ("homogeneous", 1.3, 4.0),
-            ("fTetWild", 1.71, 6.3),
         )
     )  # fmt: skip
     means = (
@@ -119,7 +118,7 @@ def search_of(target: TargetName, phantom: int) -> FoundSearch:
 
 
 def search_result() -> SearchResult:
-    every = [(t, n) for t, numbers in PHANTOMS.items() for n in numbers]
+    every = [(t, n) for t, numbers in SEARCH_PHANTOMS.items() for n in numbers]
     searches = tuple(search_of(t, n) for t, n in every)
     return SearchResult("genetic+least-squares", 30, 12, 5000, 0.5, searches)
 

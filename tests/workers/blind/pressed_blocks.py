@@ -4,10 +4,10 @@ from itertools import permutations
 
 import numpy as np
 
-from palpate.workers.blind.solver.contact import Plate
-from palpate.workers.blind.solver.element_energy import ElementMaterials
-from palpate.workers.blind.solver.quadratic_element import FACE_WEIGHTS, QuadraticMesh, quadratic
-from palpate.workers.blind.solver.system import System, Topology, Wall, topology_of
+from palpate.workers.blind.solver.plate_contact import Plate
+from palpate.workers.blind.solver.plate_equilibrium import System, Topology, Wall, topology_of
+from palpate.workers.blind.solver.quadratic_mesh import FACE_WEIGHTS, QuadraticMesh, quadratic
+from palpate.workers.blind.solver.tissue_energy import ElementMaterials
 
 Y_FRAME = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 

@@ -6,25 +6,22 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue
-from palpate.workers.blind.load_stepping import IN_AXES, plate_starts, plates_of, solve_scene
-from palpate.workers.blind.meshed_body import body_of
+from palpate.workers.blind.breast_scene import NU, WALL_SPRING_KPA_PER_MM, Scene
+from palpate.workers.blind.case_body import GLANDULAR, body_of, points_on
 from palpate.workers.blind.random_case import draw
-from palpate.workers.blind.scene import NU, WALL_SPRING_KPA_PER_MM, Scene
-from palpate.workers.blind.solver.material_points import GLANDULAR, points_on
-from palpate.workers.blind.solver.system import topology_of
-from palpate.workers.body.mesh.hierarchy import build_hierarchy
-from palpate.workers.comparison.observation.point_interpolation import interpolation
-from palpate.workers.mechanics.effects.local_stiffness import STIFFNESS_GRADIENT
-from palpate.workers.mechanics.effects.material import FIBRE_ROTATION
-from palpate.workers.mechanics.effects.plates import PLATE_TILT
-from palpate.workers.mechanics.fem.contact.contact_potential import ContactNodes
-from palpate.workers.mechanics.fem.contact.plate_surface import Gap, plate_surfaces
-from palpate.workers.mechanics.fem.contact.plates import plate_contact
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.fields import frame_of
-from palpate.workers.mechanics.fem.problem.loads import Device, ForceControl, Wall
+from palpate.workers.blind.scene_solution import IN_AXES, plate_starts, plates_of, solve_scene
+from palpate.workers.blind.solver.plate_equilibrium import topology_of
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
+from palpate.workers.body.mesh.nodal_interpolation import interpolation_at_points
+from palpate.workers.mechanics.effects.local_stiffness_effects import STIFFNESS_GRADIENT
+from palpate.workers.mechanics.effects.material_effects import FIBRE_ROTATION
+from palpate.workers.mechanics.effects.plate_effects import PLATE_TILT
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem, frame_of
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.mechanics.fem.loads_and_regions import Device, ForceControl, Wall
+from palpate.workers.mechanics.fem.plate_contact import plate_contact
+from palpate.workers.mechanics.fem.plate_surface import ContactNodes, Gap, plate_surfaces
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +59,7 @@ def test_control_moves_like_the_nominal_model_of_the_diagnosis(truth, body, numb
     assert theirs.displacement_mm is not None
     points = points_on(body.mesh, body.labels, 400, 1)
     inner = points.interface == GLANDULAR
-    at = interpolation(hierarchy.finest.mesh, points.points[inner])
+    at = interpolation_at_points(hierarchy.finest.mesh, points.points[inner])
     away = points.moved(ours.displacement_mm)[inner] - at @ theirs.displacement_mm
     moved = np.linalg.norm(at @ theirs.displacement_mm, axis=1).mean()
     assert moved > 2

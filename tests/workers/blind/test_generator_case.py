@@ -9,24 +9,28 @@ import pytest
 import yaml
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.blind.causes.observation import ImageScale
-from palpate.workers.blind.deviations import Deviations
-from palpate.workers.blind.fine_mesh import fine_mesh_of
-from palpate.workers.blind.meshed_body import body_of
-from palpate.workers.blind.random_case import draw
-from palpate.workers.blind.segmented_scan import (
+from palpate.workers.blind.case_body import (
     Segmenter,
+    body_of,
     deformed_labels,
     glandular_share,
+    locate,
     padded,
+    points_on,
     segmented,
 )
-from palpate.workers.blind.solver.material_points import locate, points_on
-from palpate.workers.blind.write_case import write_case
-from palpate.workers.body.images.read import read_volume
-from palpate.workers.comparison.observation.interface import GLANDULAR, OUTLINE
-from palpate.workers.comparison.observation.noise_estimation import from_repeat
-from palpate.workers.comparison.observation.signed_distance import signed_distance
+from palpate.workers.blind.case_deviations import Deviations
+from palpate.workers.blind.case_files import write_case
+from palpate.workers.blind.random_case import draw
+from palpate.workers.blind.setup_causes import ImageScale
+from palpate.workers.blind.solver.quadratic_mesh import fine_mesh_of
+from palpate.workers.body.images.image_formats import read_volume_file
+from palpate.workers.comparison.observation.interface_residual import (
+    GLANDULAR,
+    OUTLINE,
+    signed_distance,
+)
+from palpate.workers.comparison.observation.segmentation_noise import noise_from_repeat
 
 COARSE = {"corners": 700, "spacing_mm": 1.2}
 FILES = ["case.yaml", "deformed_y1.nrrd", "deformed_y2.nrrd", "reference.nrrd"]
@@ -58,7 +62,7 @@ def test_true_points_are_on_the_interfaces_in_the_scans(folder):
     scans = ["reference.nrrd", "deformed_y1.nrrd", "deformed_y2.nrrd"]
     moves = [np.zeros_like(truth["points"]), *truth["displacement"]]
     for name, move in zip(scans, moves, strict=True):
-        labels = read_volume(case / name)
+        labels = read_volume_file(case / name)
         for number, interface in enumerate((OUTLINE, GLANDULAR)):
             mine = truth["interface"] == number
             away, _ = signed_distance(labels, interface.inside).at((truth["points"] + move)[mine])
@@ -80,7 +84,7 @@ def test_hard_world_scan_has_its_drawn_pose(folder):
     there, moves = np.load(hidden / "truth.npz"), [0.0, 2.0]
     mine = there["interface"] == 0
     for name, displacement, shift in zip(FILES[1:3], there["displacement"], moves, strict=True):
-        outline = signed_distance(read_volume(case / name), OUTLINE.inside)
+        outline = signed_distance(read_volume_file(case / name), OUTLINE.inside)
         away, _ = outline.at((there["points"] + displacement)[mine] + [0.0, shift, 0.0])
         assert abs(np.median(away)) < 0.08
         assert away.std() < 0.75 * truth.noise_sd_mm
@@ -100,7 +104,7 @@ def test_image_scale_enlarges_the_body_in_its_scan(folder):
     mine = there["interface"] == 0
     for name, displacement in zip(FILES[1:3], there["displacement"], strict=True):
         went = (there["points"] + displacement)[mine]
-        outline = signed_distance(read_volume(case / name), OUTLINE.inside)
+        outline = signed_distance(read_volume_file(case / name), OUTLINE.inside)
         away, _ = outline.at(went * [1.0, 1.02, 1.0])
         assert abs(np.median(away)) < 0.08
         assert away.std() < 1.4 * truth.noise_sd_mm
@@ -131,7 +135,7 @@ def test_control_and_case_differ_only_in_their_scans(folder):
     assert words[1].pop("name") == "control-case"
     assert words[0] == words[1]
     assert list(words[0]) == list(words[1])
-    scans = [read_volume(c / "reference.nrrd").values for c in cases]
+    scans = [read_volume_file(c / "reference.nrrd").values for c in cases]
     assert np.array_equal(*scans)
     deformed = [(c / "deformed_y2.nrrd").read_bytes() for c in cases]
     assert deformed[0] != deformed[1]
@@ -157,7 +161,7 @@ def test_case_names_loads_axes_and_plates(folder):
     for entry in entries:
         assert entry["axis"] == "y"
         assert (entry["lower_mm"], entry["upper_mm"]) == (-half, half)
-        labels = read_volume(case / entry["volume"])
+        labels = read_volume_file(case / entry["volume"])
         assert labels.values.dtype == np.uint8
         assert set(np.unique(labels.values)) == {Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR}
         # Air on all sides, so that no interface is cut except at the chest wall.
@@ -169,7 +173,7 @@ def test_case_names_loads_axes_and_plates(folder):
 def test_noise_has_the_given_size_and_correlation_length(body):
     labels = padded(body.labels, 6.0)
     hands = [segmented(labels, Segmenter(0.3), np.random.default_rng(s)) for s in (1, 2)]
-    noise = from_repeat(*hands, spacing_mm=3.0, clear_mm=1.5)
+    noise = noise_from_repeat(*hands, spacing_mm=3.0, clear_mm=1.5)
     assert noise.sd_mm == pytest.approx(0.3, rel=0.12)
     assert noise.correlation_mm == pytest.approx(4.0, rel=0.2)
 

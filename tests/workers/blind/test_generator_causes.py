@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue
-from palpate.workers.blind.causes.boundary import Tether, WallRise
-from palpate.workers.blind.causes.growth import Swelling
-from palpate.workers.blind.causes.material import FibreContrast
-from palpate.workers.blind.causes.plates import ShortPlate
-from palpate.workers.blind.load_stepping import solve_scene, tether_of
-from palpate.workers.blind.meshed_body import body_of
+from palpate.workers.blind.breast_scene import Anatomy, Constants, Scene
+from palpate.workers.blind.case_body import body_of
 from palpate.workers.blind.random_case import draw
-from palpate.workers.blind.scene import Anatomy, Constants, Scene
-from palpate.workers.blind.solver.contact import EDGE_FADE_MM
-from palpate.workers.blind.solver.system import topology_of
+from palpate.workers.blind.scene_solution import solve_scene, tether_of
+from palpate.workers.blind.setup_causes import ShortPlate, Tether, WallRise
+from palpate.workers.blind.solver.plate_contact import EDGE_FADE_MM
+from palpate.workers.blind.solver.plate_equilibrium import topology_of
+from palpate.workers.blind.tissue_causes import FibreContrast, Swelling
 
 SEED = 2
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from palpate.workers.blind.solver.element_energy import ElementMaterials
-from palpate.workers.blind.solver.skin_membrane import sheet_of
-from palpate.workers.blind.solver.system import State, System, topology_of
+from palpate.workers.blind.solver.plate_equilibrium import State, System, topology_of
+from palpate.workers.blind.solver.tissue_energy import ElementMaterials, sheet_of
 from tests.workers.blind.pressed_blocks import block, materials, plates, wall
 
 STEP = 1e-5

@@ -6,16 +6,11 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.blind.body_shape import reshaped
-from palpate.workers.blind.deviations import Deviations
-from palpate.workers.blind.meshed_body import body_of
+from palpate.workers.blind.breast_scene import NU
+from palpate.workers.blind.case_body import Segmenter, body_of, points_on, segmented
+from palpate.workers.blind.case_deviations import Deviations, World, reshaped
 from palpate.workers.blind.random_case import KINDS, draw
-from palpate.workers.blind.scene import NU
-from palpate.workers.blind.segmented_scan import Segmenter, segmented
-from palpate.workers.blind.solver.material_points import points_on
-from palpate.workers.blind.world import World
-from palpate.workers.comparison.observation.interface import GLANDULAR
-from palpate.workers.comparison.observation.signed_distance import signed_distance
+from palpate.workers.comparison.observation.interface_residual import GLANDULAR, signed_distance
 
 HARD = [draw(seed, "control", world=World.hard) for seed in range(200)]
 

@@ -11,9 +11,9 @@ import pytest
 
 from palpate import workers
 from palpate.storage.errors import InputError
+from palpate.workers.blind.breast_scene import Scene
 from palpate.workers.blind.random_case import BY_KIND, KINDS, SINGLES, draw
-from palpate.workers.blind.scene import Scene
-from palpate.workers.organs.breast.effects import BREAST_EFFECTS
+from palpate.workers.organs.breast.breast_effects import BREAST_EFFECTS
 
 FAMILIES = {e.name: e.family for e in BREAST_EFFECTS}
 ROOM = Path(workers.__file__).parent

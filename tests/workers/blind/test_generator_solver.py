@@ -7,11 +7,21 @@ from scipy.optimize import fsolve, minimize
 from scipy.sparse import bmat, bsr_matrix
 from scipy.sparse.linalg import spsolve
 
-from palpate.workers.blind.solver.contact import PENALTY_N_PER_MM3
-from palpate.workers.blind.solver.element_energy import Cells, cells_of, energy
-from palpate.workers.blind.solver.newton import Newton, interpolation_of
-from palpate.workers.blind.solver.skin_membrane import sheet_energy, sheet_of
-from palpate.workers.blind.solver.system import DENSITY_T_PER_MM3, GRAVITY_MM_PER_S2, State
+from palpate.workers.blind.solver.plate_contact import PENALTY_N_PER_MM3
+from palpate.workers.blind.solver.plate_equilibrium import (
+    DENSITY_T_PER_MM3,
+    GRAVITY_MM_PER_S2,
+    Newton,
+    State,
+    interpolation_of,
+)
+from palpate.workers.blind.solver.tissue_energy import (
+    Cells,
+    cells_of,
+    sheet_energy,
+    sheet_of,
+    tissue_energy,
+)
 from palpate.workers.blind.solver.two_level_solver import (
     TwoLevel,
     conjugate_gradients,
@@ -76,8 +86,8 @@ def test_swollen_block_is_larger_and_stress_free():
     mesh = block((2, 2, 2), SIDES)
     grown = materials(mesh, growth=1.02)
     u = 0.02 * mesh.nodes
-    assert energy(cells_of(mesh), grown, u) == pytest.approx(0, abs=1e-12)
-    assert energy(cells_of(mesh), grown, 0 * u) > 1e-2
+    assert tissue_energy(cells_of(mesh), grown, u) == pytest.approx(0, abs=1e-12)
+    assert tissue_energy(cells_of(mesh), grown, 0 * u) > 1e-2
 
 
 def test_sheet_has_its_tensile_stiffness():

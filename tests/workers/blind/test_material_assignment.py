@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.blind.causes.material import FibreContrast
-from palpate.workers.blind.deviations import Deviations
-from palpate.workers.blind.load_stepping import wall_of
-from palpate.workers.blind.material_assignment import materials_of
+from palpate.workers.blind.breast_scene import NU, Constants, Scene
+from palpate.workers.blind.case_deviations import Deviations
 from palpate.workers.blind.random_case import draw
-from palpate.workers.blind.scene import NU, Constants, Scene
+from palpate.workers.blind.scene_solution import materials_of, wall_of
+from palpate.workers.blind.tissue_causes import FibreContrast
 from tests.workers.blind.pressed_blocks import block
 
 SIDES = np.array([30.0, 20.0, 16.0])

@@ -2,18 +2,18 @@
 
 from collections.abc import Sequence
 
-from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
-from palpate.workers.diagnosis.verdict.diagnosis import (
+from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis
+from palpate.workers.diagnosis.verdict.diagnosis_course import (
     Diagnosis,
     SecondReading,
     advance,
     base_of,
     diagnose,
+    read_again,
 )
 from palpate.workers.diagnosis.verdict.joint_fit import JointFit, fit_jointly
-from palpate.workers.diagnosis.verdict.second_reading import read_again
-from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.scan_threads import Each
+from palpate.workers.kernels_and_threads import Each
+from palpate.workers.mechanics.effects.effect import Effect
 
 
 def diagnose_here(

@@ -11,13 +11,16 @@ from itertools import combinations
 
 import numpy as np
 
-from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
-from palpate.workers.diagnosis.algebra.linearisation import Linearised, factored
-from palpate.workers.diagnosis.noise.evidence import LinearHypothesis, NoiseModel
-from palpate.workers.diagnosis.noise.model import NoiseParts, NoiseState
-from palpate.workers.diagnosis.noise.nuisances import smooth_columns, smooth_covariance
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.diagnosis.verdict.joint_evidence import JointEvidence
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.linearisation import EffectSensitivity, Linearised, factored
+from palpate.workers.diagnosis.noise.averaged_evidence import LinearHypothesis, NoiseModel
+from palpate.workers.diagnosis.noise.noise_components import (
+    NoiseParts,
+    NoiseState,
+    smooth_columns,
+    smooth_covariance,
+)
+from palpate.workers.diagnosis.verdict.hypotheses import JointEvidence
 
 HALF_AXES_MM = np.array([60.0, 40.0, 30.0])
 LOADS = np.array([0.6, 1.0])

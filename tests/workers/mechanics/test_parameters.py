@@ -5,8 +5,14 @@ import math
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.mechanics.parameters import BREAST, Parameter, Vocabulary, unknown_name
-from palpate.workers.units import KPA, NUMBER
+from palpate.workers.mechanics.model_parameters import (
+    BREAST,
+    KPA,
+    NUMBER,
+    Parameter,
+    Vocabulary,
+    unknown_name,
+)
 
 FRICTION = Parameter(
     "friction", NUMBER, 0.0, 0.5, 0.0, "of the plates", admissible=(0.0, 1.0), open_lower=False

@@ -3,12 +3,12 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from palpate.service.blind.answering.single_process import InThisProcess
-from palpate.service.diagnosis.run import request_for, run
-from palpate.workers.diagnosis.outcome.source import Source
-from palpate.workers.diagnosis.verdict.diagnosis import Diagnosis, diagnose
-from palpate.workers.tasks.diagnosis import replay
+from palpate.service.blind.diagnosed_case import InThisProcess
+from palpate.service.diagnosis.diagnosis_run import request_for, run_diagnosis
+from palpate.workers.diagnosis.outcome.diagnosis_source import Source
+from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis, diagnose
 from palpate.workers.tasks.diagnosis_store import DiagnosisStore
+from palpate.workers.tasks.diagnosis_tasks import replay
 
 
 def diagnosed_store(
@@ -20,7 +20,7 @@ def diagnosed_store(
 ) -> DiagnosisStore:
     """Run a diagnosis to its end and return its store."""
     request = request_for(source, store, nodes, spacing_mm, effects)
-    run(request, InThisProcess())
+    run_diagnosis(request, InThisProcess())
     return DiagnosisStore(request)
 
 

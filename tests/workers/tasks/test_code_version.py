@@ -10,18 +10,18 @@ from pathlib import Path
 
 import pytest
 
-from palpate.workers.organs.registry import organ_modules
+from palpate.workers.organs.organ_plugins import organ_modules
 from palpate.workers.tasks.code_version import _imported, code_version, reached
 
 ROOT = Path(__file__).parents[3]
-EVALUATION = ("palpate.workers.tasks.evaluation", *organ_modules("breast"))
+EVALUATION = ("palpate.workers.tasks.study_tasks", *organ_modules("breast"))
 # Read once: the digest of a result must not depend on who computes it.
 REACHED = reached(EVALUATION)
 # Modules that earlier hand-written lists omitted although evaluations depend on them.
 FORGOTTEN = (
-    "palpate.workers.mechanics.parameters",
-    "palpate.workers.mechanics.effects.boundary",
-    "palpate.workers.mechanics.materials.base",
+    "palpate.workers.mechanics.model_parameters",
+    "palpate.workers.mechanics.effects.support_effects",
+    "palpate.workers.mechanics.materials.elastic_law",
     "palpate.workers.tasks.pipeline",
 )
 
@@ -42,7 +42,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from palpate.workers.tasks import code_version as module
-import palpate.storage.digest
+import palpate.storage.json_digests
 def version():
     module.code_version.cache_clear()
     return module.code_version(*{EVALUATION!r})
@@ -75,12 +75,12 @@ def test_every_imported_file_counts(copied: Path) -> None:
 
 def test_files_that_are_not_imported_do_not_count(copied: Path) -> None:
     apart = [
-        "palpate/workers/diagnosis/outcome/pictures/drawings.py",
+        "palpate/workers/diagnosis/outcome/body_pictures.py",
         "palpate/workers/diagnosis/verdict/verdict.py",
         "palpate/workers/blind/random_case.py",
-        "palpate/workers/organs/specimen/problem.py",
-        "palpate/workers/tasks/diagnosis.py",
-        "palpate/storage/records/journal.py",
+        "palpate/workers/organs/specimen/specimen_problem.py",
+        "palpate/workers/tasks/diagnosis_tasks.py",
+        "palpate/storage/journal.py",
     ]
     before, *after = versions_in(copied, [copied / name for name in apart])
     assert after == [before] * len(apart)

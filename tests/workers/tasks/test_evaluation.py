@@ -6,17 +6,21 @@ import math
 import numpy as np
 import pytest
 
-from palpate.storage.backends.atomic import withdraw
+from palpate.storage.backends.atomic_files import withdraw
 from palpate.storage.errors import InputError, StoreError
-from palpate.storage.records.evaluations import load_evaluation
-from palpate.storage.stores.fields import load_field
-from palpate.storage.stores.store import open_store
-from palpate.storage.stores.volumes import has_volume, load_volume, save_volume, volume_meta
+from palpate.storage.store import load_evaluation, open_store
+from palpate.storage.stored_arrays import (
+    has_volume,
+    load_field,
+    load_volume,
+    save_volume,
+    volume_meta,
+)
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.organs.breast.organ import ORGAN, Breast, on_lattice
+from palpate.workers.organs.breast.breast_organ import ORGAN, Breast, on_lattice
 from palpate.workers.resources import CACHE
-from palpate.workers.tasks import evaluation as tasks
-from palpate.workers.tasks.body_store import BodyStore
+from palpate.workers.tasks import study_tasks as tasks
+from palpate.workers.tasks.task_store import BodyStore
 
 CASE = {
     "reference": {"phantom": {"preset": "250ml", "spacing_mm": 2.0}},

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.organs.breast.keys.images import ImageSpec
-from palpate.workers.organs.breast.organ import ORGAN, on_lattice, read_image
-from palpate.workers.organs.breast.problem import extent_of
-from palpate.workers.organs.breast.spec import BreastCase, BreastScore
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.organs.breast.breast_keys import BreastCase, BreastScore, ImageSpec
+from palpate.workers.organs.breast.breast_organ import ORGAN, on_lattice, read_image
+from palpate.workers.organs.breast.breast_problem import extent_of
 from palpate.workers.tasks import pipeline
 
 MESH = {"nodes": 1200}

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import StoreError
-from palpate.workers.diagnosis.outcome.source import SourceContent
+from palpate.workers.diagnosis.outcome.diagnosis_source import SourceContent
 from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
 from palpate.workers.organs.source_registry import source_kinds, source_module, source_of
 from palpate.workers.resources import CACHE
 from palpate.workers.tasks.code_version import reached
-from palpate.workers.tasks.sources import (
+from palpate.workers.tasks.diagnosis_sources import (
     add_source,
     open_planned,
     open_source,
@@ -115,16 +115,16 @@ def test_error_names_the_unknown_kind(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", source_kinds())
 def test_code_digest_of_a_diagnosis_includes_all_imports(kind: str) -> None:
-    modules = reached(["palpate.workers.tasks.diagnosis", source_module(kind)])
+    modules = reached(["palpate.workers.tasks.diagnosis_tasks", source_module(kind)])
     organ = source_module(kind).split(".")[3]
     wanted = {
-        "palpate.workers.diagnosis.settings.values",
+        "palpate.workers.diagnosis.diagnosis_settings",
         "palpate.workers.diagnosis.fits.gauss_newton",
-        "palpate.workers.mechanics.fem.equilibrium.solve",
-        "palpate.workers.mechanics.effects.base",
-        f"palpate.workers.organs.{organ}.effects",
-        "palpate.workers.comparison.observation.noise",
-        "palpate.storage.records.typed_json",
+        "palpate.workers.mechanics.fem.body_equilibrium",
+        "palpate.workers.mechanics.effects.effect",
+        f"palpate.workers.organs.{organ}.{organ}_effects",
+        "palpate.workers.comparison.observation.segmentation_noise",
+        "palpate.storage.json_digests",
     }
     assert wanted <= set(modules)
     others = {"breast", "specimen", "cornea"} - {organ}

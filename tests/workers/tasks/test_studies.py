@@ -5,16 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from palpate.service.study.spec import StudySpec
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.study.study_keys import StudySpec
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError, StoreError
-from palpate.storage.records.journal import Journal
-from palpate.storage.records.record import EvaluationRecord, SessionRecord, StudyRecord
-from palpate.storage.records.status import Status
-from palpate.storage.stores.store import open_store
+from palpate.storage.journal import Journal
+from palpate.storage.journal_records import EvaluationRecord, SessionRecord, Status, StudyRecord
+from palpate.storage.store import open_store
 from palpate.workers.resources import CACHE
-from palpate.workers.tasks import evaluation as tasks
-from palpate.workers.tasks.studies import is_study, open_study
+from palpate.workers.tasks import study_tasks as tasks
+from palpate.workers.tasks.diagnosis_sources import is_study, open_study
 
 SPEC = {
     "name": "small",

@@ -6,32 +6,32 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from palpate.service.commands.common import (
+from palpate.service.commands.command_line import RUNS, store_place
+from palpate.service.commands.images.image_preview import doubt, facts, terminal_lines, write_png
+from palpate.service.commands.shared_options import (
     AnywayOption,
     JsonOption,
     StoreOption,
     print_findings,
     print_json,
 )
-from palpate.service.commands.images.preview import doubt, facts, terminal_lines, write_png
-from palpate.service.commands.settings import RUNS, store_place
-from palpate.service.commands.tables import echo_table
-from palpate.service.export.suffixes import check_suffix
-from palpate.storage.backends.atomic import explained
-from palpate.storage.digest import array_digest, digest
+from palpate.service.commands.terminal_tables import echo_table
+from palpate.service.export.stored_files import check_suffix
+from palpate.storage.backends.atomic_files import explained
 from palpate.storage.errors import InputError
-from palpate.storage.stores.store import Store, open_store
-from palpate.storage.stores.volumes import save_volume, volume_meta, volumes_named
+from palpate.storage.json_digests import array_digest, digest
+from palpate.storage.store import Store, open_store
+from palpate.storage.stored_arrays import save_volume, volume_meta, volumes_named
 from palpate.storage.values import Volume
-from palpate.workers.body.images.labels import summarise
 from palpate.workers.body.images.named_labels import read_tissues
-from palpate.workers.body.images.orient import anatomical_directions
-from palpate.workers.body.images.tiff_stack import slices_read
-from palpate.workers.documents import parse_yaml
-from palpate.workers.organs.registry import organ_spec
-from palpate.workers.organs.study_checks import caveats_of
-from palpate.workers.spec import Door, Name, validated
-from palpate.workers.tasks.study_checks import imported_findings
+from palpate.workers.body.images.scan_orientation import anatomical_directions
+from palpate.workers.body.images.tiff_images import slices_read
+from palpate.workers.body.images.tissue_labels import summarise
+from palpate.workers.common_keys import Door, Name, validated
+from palpate.workers.input_files import parse_yaml
+from palpate.workers.organs.organ_plugins import organ_spec
+from palpate.workers.organs.plausibility_rule import caveats_of
+from palpate.workers.tasks.plausibility import imported_findings
 
 
 def import_image(

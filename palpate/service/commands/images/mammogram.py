@@ -5,16 +5,25 @@ from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import JsonOption, StoreOption, StudyArgument, print_json
+from palpate.service.commands.command_line import store_place
 from palpate.service.commands.named_study import find_study
-from palpate.service.commands.settings import store_place
-from palpate.service.results.read import study_results
-from palpate.service.thesis.write import png_bytes
-from palpate.storage.backends.atomic import explained, write_file
+from palpate.service.commands.shared_options import (
+    JsonOption,
+    StoreOption,
+    StudyArgument,
+    print_json,
+)
+from palpate.service.results.results_from_journal import study_results
+from palpate.service.thesis.thesis_book import png_bytes
+from palpate.storage.backends.atomic_files import explained, write_file
 from palpate.storage.errors import InputError
-from palpate.workers.comparison.mammogram.dicom_image import dicom_bytes, mammogram_dataset
-from palpate.workers.comparison.mammogram.picture import difference_picture, grey_picture
-from palpate.workers.tasks.mammogram import OBLIQUE_DEG, TakenView, take_view
+from palpate.workers.comparison.mammogram_image import (
+    dicom_bytes,
+    difference_picture,
+    grey_picture,
+    mammogram_dataset,
+)
+from palpate.workers.tasks.mammogram_tasks import OBLIQUE_DEG, TakenView, take_view
 
 
 def mammogram(
@@ -78,10 +87,10 @@ def _write(taken: TakenView, folder: Path, name: str) -> list[Path]:
     with explained(folder):
         folder.mkdir(parents=True, exist_ok=True)
     contents: dict[str, bytes] = {}
-    for who, one in (("fitted", taken.fitted), ("target", taken.target)):
-        if one is not None:
-            contents[f"{who}.png"] = png_bytes(grey_picture(one))
-            dataset = mammogram_dataset(one, taken.view, body_name=f"{name[:50]}^{who}")
+    for who, image in (("fitted", taken.fitted), ("target", taken.target)):
+        if image is not None:
+            contents[f"{who}.png"] = png_bytes(grey_picture(image))
+            dataset = mammogram_dataset(image, taken.view, body_name=f"{name[:50]}^{who}")
             contents[f"{who}.dcm"] = dicom_bytes(dataset)
     if taken.target is not None:
         contents["difference.png"] = png_bytes(difference_picture(taken.fitted, taken.target))

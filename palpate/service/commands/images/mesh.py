@@ -5,23 +5,23 @@ from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import (
+from palpate.service.commands.command_line import store_place
+from palpate.service.commands.named_study import load_spec
+from palpate.service.commands.shared_options import (
     AnywayOption,
     JsonOption,
     StoreOption,
     print_findings,
     print_json,
 )
-from palpate.service.commands.named_study import load_spec
-from palpate.service.commands.settings import store_place
 from palpate.service.export import MESH_SUFFIXES, check_suffix, export_stored_mesh
-from palpate.storage.stores.meshes import load_mesh
-from palpate.storage.stores.store import open_store
-from palpate.workers.body.mesh.hierarchy import from_arrays
-from palpate.workers.body.mesh.quality import summarise
-from palpate.workers.organs.study_checks import caveats_of
-from palpate.workers.tasks.evaluation import case_of, prepare_case
-from palpate.workers.tasks.study_checks import check_case
+from palpate.storage.store import open_store
+from palpate.storage.stored_arrays import load_mesh
+from palpate.workers.body.mesh.mesh_geometry import summarise
+from palpate.workers.body.mesh.mesh_hierarchy import from_arrays
+from palpate.workers.organs.plausibility_rule import caveats_of
+from palpate.workers.tasks.plausibility import check_case
+from palpate.workers.tasks.study_tasks import case_of, prepare_case
 
 
 def mesh(

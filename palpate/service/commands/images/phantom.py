@@ -5,14 +5,14 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.commands.common import JsonOption, StoreOption, print_json
-from palpate.service.commands.settings import store_place
+from palpate.service.commands.command_line import store_place
+from palpate.service.commands.shared_options import JsonOption, StoreOption, print_json
 from palpate.service.export import TISSUE_NAMES, VOLUME_SUFFIXES, check_suffix, export_volume
-from palpate.storage.stores.store import open_store
-from palpate.workers.body.images.labels import summarise
-from palpate.workers.organs.registry import organ_named, organ_spec
-from palpate.workers.spec import validated
-from palpate.workers.tasks.body_store import BodyStore
+from palpate.storage.store import open_store
+from palpate.workers.body.images.tissue_labels import summarise
+from palpate.workers.common_keys import validated
+from palpate.workers.organs.organ_plugins import organ_named, organ_spec
+from palpate.workers.tasks.task_store import BodyStore
 
 
 def phantom(

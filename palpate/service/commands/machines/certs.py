@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from palpate.service.cluster.certificates import make_certificates
-from palpate.service.commands.common import JsonOption, print_json
+from palpate.service.commands.shared_options import JsonOption, print_json
 
 
 def certs(

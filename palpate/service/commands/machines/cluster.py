@@ -6,14 +6,14 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.cluster.batch_jobs import (
+from palpate.service.cluster.batch_system_workers import (
     BatchSystem,
     JobRequest,
     check_batch_system,
     open_jobs,
 )
-from palpate.service.cluster.worker_range import read_workers
-from palpate.service.commands.interrupts import stop_requests
+from palpate.service.cluster.cluster_choice import read_workers
+from palpate.service.errors_and_interrupts import stop_requests
 
 SAY_EVERY_S = 1.0
 

@@ -4,10 +4,10 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.cluster.doctor import Examination, StoreFacts, examine
-from palpate.service.cluster.open import open_cluster
-from palpate.service.commands.common import JsonOption, StoreOption, print_json
-from palpate.service.commands.settings import cluster_options, store_place
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.cluster.doctor_checks import Examination, StoreFacts, examine
+from palpate.service.commands.command_line import cluster_options, store_place
+from palpate.service.commands.shared_options import JsonOption, StoreOption, print_json
 
 
 def doctor(

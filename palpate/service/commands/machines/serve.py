@@ -5,15 +5,15 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.cluster.open import open_cluster
-from palpate.service.commands.common import SchedulerOption, WorkersOption
-from palpate.service.commands.interrupts import stop_requests
-from palpate.service.commands.settings import RUNS, cluster_options
-from palpate.service.server.http.guard import is_loopback
-from palpate.service.server.http.serve import listen, url_of
-from palpate.service.server.http.serve import serve as listen_and_serve
-from palpate.service.server.jobs.limits import MIB, Limits
-from palpate.service.server.service import open_service
+from palpate.service.cluster.dask_cluster import open_cluster
+from palpate.service.commands.command_line import RUNS, cluster_options
+from palpate.service.commands.shared_options import SchedulerOption, WorkersOption
+from palpate.service.errors_and_interrupts import stop_requests
+from palpate.service.server.http.http_server import listen, url_of
+from palpate.service.server.http.http_server import serve as listen_and_serve
+from palpate.service.server.http.request_checks import is_loopback
+from palpate.service.server.jobs.untrusted_inputs import MIB, Limits
+from palpate.service.server.running_service import open_service
 
 
 def serve(

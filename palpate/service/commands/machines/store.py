@@ -5,11 +5,15 @@ from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import JsonOption, StoreOption, StudyArgument, print_json
+from palpate.service.commands.command_line import RUNS, stated_store, store_place
 from palpate.service.commands.named_study import find_study
-from palpate.service.commands.settings import RUNS, stated_store, store_place
-from palpate.service.results.record_check import RecordCheck, check_records
-from palpate.service.study.archive import archived_name, export_study, import_study
+from palpate.service.commands.shared_options import (
+    JsonOption,
+    StoreOption,
+    StudyArgument,
+    print_json,
+)
+from palpate.service.results.results_from_journal import RecordCheck, check_records
 from palpate.service.study.store_use import (
     find_garbage,
     find_named,
@@ -18,13 +22,13 @@ from palpate.service.study.store_use import (
     studies_in,
     study_use,
 )
-from palpate.storage.backends.places import Place
+from palpate.service.study.study_archive import archived_name, export_study, import_study
+from palpate.storage.backends.store_paths import Place
 from palpate.storage.errors import InputError
-from palpate.storage.stores.lock import maintaining
-from palpate.storage.stores.store import Store, open_store
-from palpate.storage.stores.volumes import remove_volume
-from palpate.storage.upkeep.check import StoreCheck, check_store, set_aside
-from palpate.storage.upkeep.migration import migrate as migrate_store
+from palpate.storage.store import Store, open_store
+from palpate.storage.stored_arrays import remove_volume
+from palpate.storage.upkeep import StoreCheck, check_store, maintaining, set_aside
+from palpate.storage.upkeep import migrate as migrate_store
 
 app = typer.Typer(
     no_args_is_help=True, help="Maintain a store: check it, free space, move studies."
@@ -57,16 +61,16 @@ def check(
     Every entry is read. The exit code is 2 if any is damaged.
     """
     opened = open_store(store_place(store), create=False)
-    found, records = check_store(opened), check_records(studies_in(studies or [RUNS]))
+    entries, records = check_store(opened), check_records(studies_in(studies or [RUNS]))
     aside = None
-    if repair and found.damages:
+    if repair and entries.damages:
         with maintaining(opened, "palpate store check --repair"):
-            aside = set_aside(opened, found.damages)
+            aside = set_aside(opened, entries.damages)
     if as_json:
-        print_json(_check_json(opened, found, records, aside))
+        print_json(_check_json(opened, entries, records, aside))
     else:
-        _print_check(opened, found, records, aside)
-    if records.damages or (found.damages and aside is None):
+        _print_check(opened, entries, records, aside)
+    if records.damages or (entries.damages and aside is None):
         raise typer.Exit(2)
 
 
@@ -120,20 +124,20 @@ def rm(
     Nothing is removed if a study needs one of them, unless --force is given.
     """
     opened = open_store(store_place(store), create=False)
-    found = find_named(opened, names, studies_in(studies or [RUNS]))
+    volumes = find_named(opened, names, studies_in(studies or [RUNS]))
     if not force:
-        refuse_if_needed(found)
+        refuse_if_needed(volumes)
     with maintaining(opened, "palpate store rm"):
-        for volume in found:
+        for volume in volumes:
             remove_volume(opened, volume.digest)
     if as_json:
         removed = [
             {"name": v.name, "volume": v.digest, "studies": [str(f) for f in v.studies]}
-            for v in found
+            for v in volumes
         ]
         print_json({"store": str(opened), "removed": removed})
         return
-    for v in found:
+    for v in volumes:
         used = f"; needed by {', '.join(map(str, v.studies))}" if v.studies else ""
         typer.echo(f"{v.name} ({v.digest}) was removed from {opened}{used}")
 

@@ -5,10 +5,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from palpate.service.commands.common import JsonOption, print_json
-from palpate.service.commands.settings import RUNS
-from palpate.service.server.jobs.home import ServiceHome
-from palpate.service.server.jobs.tokens import Tokens
+from palpate.service.commands.command_line import RUNS
+from palpate.service.commands.shared_options import JsonOption, print_json
+from palpate.service.server.jobs.home_and_tokens import ServiceHome, Tokens
 
 app = typer.Typer(no_args_is_help=True, help="Manage the access tokens of a service.")
 

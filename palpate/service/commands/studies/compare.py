@@ -6,18 +6,18 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from palpate.service.commands.common import JsonOption, print_json
 from palpate.service.commands.named_study import find_study
-from palpate.service.commands.tables import make_console, print_table
-from palpate.service.report.comparison.page import (
+from palpate.service.commands.shared_options import JsonOption, print_json
+from palpate.service.commands.terminal_tables import make_console, print_table
+from palpate.service.report.study.comparison_page import (
     constant_rows,
     outcome_rows,
     reason_rows,
     setting_rows,
     write_comparison,
 )
-from palpate.service.results.comparison import StudyComparison, compare_studies
-from palpate.storage.backends.atomic import write_file
+from palpate.service.results.study_comparison import StudyComparison, compare_studies
+from palpate.storage.backends.atomic_files import write_file
 
 
 def compare(
@@ -40,15 +40,15 @@ def compare(
     Shows constants with their intervals, scores, evaluations, and the settings that differ.
     Studies may still be running.
     """
-    found = compare_studies([find_study(study) for study in studies])
+    comparison = compare_studies([find_study(study) for study in studies])
     if out is not None:
-        write_file(out, found.as_csv().encode())
+        write_file(out, comparison.as_csv().encode())
     if page is not None:
-        write_comparison(found, page)
+        write_comparison(comparison, page)
     if as_json:
-        print_json(found.as_dict())
+        print_json(comparison.as_dict())
         return
-    print_comparison(found, make_console())
+    print_comparison(comparison, make_console())
     for name, path in (("table", out), ("page", page)):
         if path is not None:
             typer.echo(f"{name}: {path}")

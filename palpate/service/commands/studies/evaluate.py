@@ -5,7 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import (
+from palpate.service.commands.command_line import RUNS, cluster_options, interruptible, stated_store
+from palpate.service.commands.shared_options import (
     AnywayOption,
     JsonOption,
     SchedulerOption,
@@ -13,8 +14,6 @@ from palpate.service.commands.common import (
     print_findings,
     print_json,
 )
-from palpate.service.commands.interrupts import interruptible
-from palpate.service.commands.settings import RUNS, cluster_options, stated_store
 from palpate.storage.errors import InputError
 
 
@@ -64,14 +63,16 @@ def evaluate(
     """
     with interruptible():  # before the imports, which take a while
         scheduler, processes = cluster_options(scheduler, workers)
-        from palpate.service.batch.candidate_table import read_table
-        from palpate.service.batch.evaluations import check_table_suffix
-        from palpate.service.batch.progress import BatchProgress
-        from palpate.service.batch.run import evaluate_batch, plan_batch
         from palpate.service.commands.named_study import load_spec
-        from palpate.service.commands.tables import progress_console
-        from palpate.service.search.designs import design_columns
-        from palpate.service.study.session import session
+        from palpate.service.commands.terminal_tables import progress_console
+        from palpate.service.search.space_filling import design_columns
+        from palpate.service.simulation.candidate_batch import (
+            BatchProgress,
+            evaluate_batch,
+            plan_batch,
+        )
+        from palpate.service.simulation.candidate_tables import check_table_suffix, read_table
+        from palpate.service.study.study_session import session
 
         table, study = _table_and_study(paths, design)
         if out is not None:
@@ -88,13 +89,13 @@ def evaluate(
         print_findings(plan.check(anyway=anyway, elsewhere=scheduler is not None))
         progress = BatchProgress(progress_console())
         with session(scheduler, processes) as opened, progress:
-            found = evaluate_batch(plan, opened.dispatcher, observers=[progress])
+            evaluations = evaluate_batch(plan, opened.dispatcher, observers=[progress])
     if out is not None:
-        found.save(out)
+        evaluations.save(out)
     if as_json:
-        print_json(list(found.rows()))
+        print_json(list(evaluations.rows()))
         return
-    _print(found, out)
+    _print(evaluations, out)
 
 
 def _table_and_study(paths: list[Path], design: str | None) -> tuple[Path | None, Path]:
@@ -111,8 +112,8 @@ def _table_and_study(paths: list[Path], design: str | None) -> tuple[Path | None
 
 
 def _print(found: Any, out: Path | None) -> None:
-    from palpate.service.commands.tables import echo_table
-    from palpate.service.formatting import number
+    from palpate.service.commands.terminal_tables import echo_table
+    from palpate.service.number_formatting import number
 
     counts = ", ".join(f"{count} {status}" for status, count in found.counts.items())
     reused = int(found["reused"].sum())

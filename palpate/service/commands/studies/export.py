@@ -5,16 +5,16 @@ from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import JsonOption, StoreOption, print_json
+from palpate.service.commands.command_line import store_place
 from palpate.service.commands.named_study import constants_option, load_spec
-from palpate.service.commands.settings import store_place
-from palpate.service.export.formats import export_solved, exporter_of
-from palpate.service.export.solved_body import SolvedBody, solve_body
-from palpate.service.export.suffixes import check_suffix, solved_suffixes
-from palpate.service.results.read import candidate_results
-from palpate.service.study.spec import StudySpec
+from palpate.service.commands.shared_options import JsonOption, StoreOption, print_json
+from palpate.service.export.export_formats import export_solved, exporter_of
+from palpate.service.export.solved_mesh_files import SolvedBody, solve_body
+from palpate.service.export.stored_files import check_suffix, solved_suffixes
+from palpate.service.results.results_from_journal import candidate_results
+from palpate.service.study.study_keys import StudySpec
 from palpate.storage.errors import InputError
-from palpate.workers.tasks.study_checks import check_case
+from palpate.workers.tasks.plausibility import check_case
 
 
 def export(
@@ -92,8 +92,8 @@ def _constants(
         raise InputError(f"{study} is a study file: --candidate needs the folder of a study.")
     if candidate != "best" and not candidate.isdecimal():
         raise InputError(f"--candidate {candidate}: expected a number, or best.")
-    found = candidate_results(study, None if candidate == "best" else int(candidate))
-    return spec.constants_of(found.genes), f"candidate {found.candidate}"
+    results = candidate_results(study, None if candidate == "best" else int(candidate))
+    return spec.constants_of(results.genes), f"candidate {results.candidate}"
 
 
 def _record(body: SolvedBody, whose: str, files: list[Path]) -> dict[str, Any]:

@@ -6,13 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import JsonOption, print_json
-from palpate.service.commands.tables import echo_table
+from palpate.service.commands.shared_options import JsonOption, print_json
+from palpate.service.commands.terminal_tables import echo_table
 from palpate.storage.errors import InputError
-from palpate.workers.mechanics.materials.law_fit import LawFit, equally_good
+from palpate.workers.mechanics.materials.law_fit import LawFit, equally_good, read_tables
 from palpate.workers.mechanics.materials.law_fit import fit_law as fit_one
 from palpate.workers.mechanics.materials.law_plugins import law_named, law_names
-from palpate.workers.mechanics.materials.table_file import read_tables
 
 
 def fit_law(
@@ -45,10 +44,10 @@ def fit_law(
     failed: dict[str, str] = {}
     for name in law_names() if law == "all" else (law,):
         try:
-            one = fit_one(law_named(name), [table for _, table in read])
-            if law == "all" and not isfinite(one.aicc):
+            fit = fit_one(law_named(name), [table for _, table in read])
+            if law == "all" and not isfinite(fit.aicc):
                 raise InputError("The tables have too few points to compare laws.")
-            fits.append(one)
+            fits.append(fit)
         except InputError as error:
             if law != "all":
                 raise
@@ -61,8 +60,8 @@ def fit_law(
         print_json(
             {
                 "tables": sources,
-                "fits": [_record(one, nu) for one in fits],
-                "equally_good": [one.plugin.name for one in best],
+                "fits": [_record(fit, nu) for fit in fits],
+                "equally_good": [fit.plugin.name for fit in best],
                 "failed": failed,
             }
         )
@@ -96,18 +95,18 @@ def _print(fits: list[LawFit], best: list[LawFit], sources: list[str], nu: float
     errors = [f"error {number}" for number in range(1, len(sources) + 1)]
     rows = [
         (
-            one.plugin.name,
-            f"{one.shear_modulus_mpa * 1e3:.4g} kPa",
-            *(f"{100 * error:.2g} %" for error in one.fit.errors),
-            "0.0" if one is fits[0] else f"{one.aicc - fits[0].aicc:.1f}",
-            ", ".join(f"{name} {value:.4g}" for name, value in one.constants.items()),
+            law_fit.plugin.name,
+            f"{law_fit.shear_modulus_mpa * 1e3:.4g} kPa",
+            *(f"{100 * error:.2g} %" for error in law_fit.fit.errors),
+            "0.0" if law_fit is fits[0] else f"{law_fit.aicc - fits[0].aicc:.1f}",
+            ", ".join(f"{name} {value:.4g}" for name, value in law_fit.constants.items()),
         )
-        for one in fits
+        for law_fit in fits
     ]
     echo_table(("law", "mu0", *errors, "AICc - best", "shape constants"), rows)
     typer.echo()
     if len(fits) > 1:
-        names = ", ".join(one.plugin.name for one in best)
+        names = ", ".join(law_fit.plugin.name for law_fit in best)
         told = "fits best" if len(best) == 1 else "fit about equally well (AICc within 2)"
         typer.echo(f"{names} {told}.")
         typer.echo("AICc assumes independent deviations, but neighbouring points on a curve")

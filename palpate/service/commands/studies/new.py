@@ -7,10 +7,10 @@ from typing import Annotated
 import typer
 
 from palpate.service.templates import DIAGNOSED, template, template_names
-from palpate.storage.backends.atomic import write_file
+from palpate.storage.backends.atomic_files import write_file
 from palpate.storage.errors import InputError
-from palpate.workers.mechanics.parameters import unknown_name
-from palpate.workers.spec import Door, Name, validated
+from palpate.workers.common_keys import Door, Name, validated
+from palpate.workers.mechanics.model_parameters import unknown_name
 
 
 def _known(kind: str) -> str:

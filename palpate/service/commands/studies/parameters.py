@@ -4,11 +4,11 @@ from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import JsonOption, print_json
-from palpate.service.commands.tables import echo_table
+from palpate.service.commands.shared_options import JsonOption, print_json
+from palpate.service.commands.terminal_tables import echo_table
 from palpate.storage.errors import InputError
 from palpate.workers.mechanics.materials.law_plugins import law_named, law_names
-from palpate.workers.organs.registry import catalogue_of, organ_spec
+from palpate.workers.organs.organ_plugins import catalogue_of, organ_spec
 
 HEADINGS = ("name", "known interval", "neutral", "description")
 

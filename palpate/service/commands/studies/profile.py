@@ -6,18 +6,22 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.commands.common import JsonOption, SchedulerOption, WorkersOption, print_json
-from palpate.service.commands.interrupts import interruptible
+from palpate.service.commands.command_line import cluster_options, interruptible
 from palpate.service.commands.named_study import find_study
-from palpate.service.commands.settings import cluster_options
-from palpate.service.commands.tables import make_console, print_table
-from palpate.service.formatting import number
-from palpate.service.results.profile import Profile, profile_of
-from palpate.service.study.log import read_study
-from palpate.service.study.requests import Tasks
-from palpate.service.study.session import session
-from palpate.service.study.spec import StudySpec
-from palpate.workers.spec import validated
+from palpate.service.commands.shared_options import (
+    JsonOption,
+    SchedulerOption,
+    WorkersOption,
+    print_json,
+)
+from palpate.service.commands.terminal_tables import make_console, print_table
+from palpate.service.number_formatting import number
+from palpate.service.results.profile_likelihood import Profile, profile_of
+from palpate.service.study.study_folder import read_study
+from palpate.service.study.study_keys import StudySpec
+from palpate.service.study.study_session import session
+from palpate.service.study.task_requests import Tasks
+from palpate.workers.common_keys import validated
 
 
 def profile(
@@ -39,11 +43,11 @@ def profile(
         record, log = read_study(folder)
         spec = validated(StudySpec, record.spec, f"The study in {folder}")
         with session(scheduler, processes) as opened:
-            found = profile_of(spec, log, Tasks(), opened.dispatcher, name, points)
+            curve = profile_of(spec, log, Tasks(), opened.dispatcher, name, points)
     if as_json:
-        print_json(asdict(found))
+        print_json(asdict(curve))
     else:
-        _print(found)
+        _print(curve)
 
 
 def _print(found: Profile) -> None:

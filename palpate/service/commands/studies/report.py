@@ -3,19 +3,24 @@
 import typer
 from rich.console import Console
 
-from palpate.service.commands.common import JsonOption, StudyArgument, print_json
 from palpate.service.commands.named_study import find_study
+from palpate.service.commands.shared_options import JsonOption, StudyArgument, print_json
 from palpate.service.commands.studies.status import counts_text, score_text
-from palpate.service.commands.tables import make_console, print_table
-from palpate.service.formatting import number, share
-from palpate.service.report.study.page import write_report
-from palpate.service.results.as_json import study_json
-from palpate.service.results.error_budget import in_words
-from palpate.service.results.quotability import DerivedEstimate, derived_estimates, ratio_answer
-from palpate.service.results.ratios import RatioEstimate
-from palpate.service.results.read import study_results
-from palpate.service.results.record import ParameterEstimate, StudyResults
-from palpate.service.study.observers.progress import clock
+from palpate.service.commands.terminal_tables import make_console, print_table
+from palpate.service.number_formatting import number, share
+from palpate.service.report.study.study_page import write_report
+from palpate.service.results.identification import RatioEstimate
+from palpate.service.results.intervals import in_words
+from palpate.service.results.result_records import (
+    DerivedEstimate,
+    ParameterEstimate,
+    StudyResults,
+    derived_estimates,
+    ratio_answer,
+)
+from palpate.service.results.results_as_json import study_json
+from palpate.service.results.results_from_journal import study_results
+from palpate.service.study.study_progress import clock
 
 ONLY_RATIOS = (
     "Only stiffness ratios were found, because the plate distance is known but no force or "
@@ -115,7 +120,7 @@ def _how_well(results: StudyResults) -> list[str]:
         if e.reasons
         for reason in ["; ".join(e.reasons)]
     ]
-    texts += [derived_text(one) for one in derived_estimates(results)]
+    texts += [derived_text(estimate) for estimate in derived_estimates(results)]
     known = results.identification
     if known is None:
         return texts

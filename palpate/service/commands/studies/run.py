@@ -5,14 +5,13 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.commands.common import (
+from palpate.service.commands.command_line import cluster_options, interruptible
+from palpate.service.commands.shared_options import (
     AnywayOption,
     JsonOption,
     SchedulerOption,
     WorkersOption,
 )
-from palpate.service.commands.interrupts import interruptible
-from palpate.service.commands.settings import cluster_options
 
 
 def run(
@@ -50,7 +49,7 @@ def run(
     with interruptible():
         scheduler, processes = cluster_options(scheduler, workers)
         # Imports take seconds; Ctrl-C must print how to continue even now.
-        from palpate.service.commands.studies.running import Wanted, run_and_print
+        from palpate.service.commands.studies.running import RunOptions, run_and_print
 
-        wanted = Wanted(folder, store, accept_new_code, anyway or accept_implausible, as_json)
+        wanted = RunOptions(folder, store, accept_new_code, anyway or accept_implausible, as_json)
         run_and_print(study, wanted, processes, scheduler)

@@ -7,12 +7,12 @@ from typing import Annotated
 import typer
 from pydantic import BaseModel
 
-from palpate.service.study.spec import study_of
-from palpate.storage.backends.atomic import write_file
+from palpate.service.study.study_keys import study_of
+from palpate.storage.backends.atomic_files import write_file
 from palpate.storage.errors import InputError
-from palpate.workers.key_descriptions import described_schema
-from palpate.workers.mechanics.parameters import unknown_name
-from palpate.workers.organs.plugin import resolve
+from palpate.workers.file_keys import described_schema
+from palpate.workers.mechanics.model_parameters import unknown_name
+from palpate.workers.organs.organ_plugins import resolve
 from palpate.workers.organs.source_registry import file_keys
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"

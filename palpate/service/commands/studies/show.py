@@ -6,12 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
-from palpate.service.commands.common import AllOption, JsonOption, print_json
 from palpate.service.commands.named_study import find_study
-from palpate.service.commands.tables import echo_table
-from palpate.service.quantities import Quantity, named_quantity
-from palpate.service.results.as_json import candidate_json
-from palpate.service.results.read import candidate_results
+from palpate.service.commands.shared_options import AllOption, JsonOption, print_json
+from palpate.service.commands.terminal_tables import echo_table
+from palpate.service.number_formatting import Quantity, named_quantity
+from palpate.service.results.results_as_json import candidate_json
+from palpate.service.results.results_from_journal import candidate_results
 from palpate.storage.errors import InputError
 
 BEST = "best"

@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
-from palpate.service.commands.common import (
+from palpate.service.commands.command_line import store_place
+from palpate.service.commands.named_study import constants_option, load_case
+from palpate.service.commands.shared_options import (
     AllOption,
     AnywayOption,
     JsonOption,
@@ -13,31 +15,30 @@ from palpate.service.commands.common import (
     print_findings,
     print_json,
 )
-from palpate.service.commands.named_study import constants_option, load_case
-from palpate.service.commands.settings import store_place
-from palpate.service.commands.tables import echo_table
-from palpate.service.export.formats import export_solved
-from palpate.service.export.solved_body import solve_body
-from palpate.service.export.stored import TISSUE_NAMES, export_volume
-from palpate.service.export.suffixes import (
+from palpate.service.commands.terminal_tables import echo_table
+from palpate.service.export.export_formats import export_solved
+from palpate.service.export.solved_mesh_files import solve_body
+from palpate.service.export.stored_files import (
+    TISSUE_NAMES,
     VOLUME_SUFFIXES,
     check_suffix,
+    export_volume,
     solved_suffixes,
     suffix_of,
 )
-from palpate.service.quantities import (
+from palpate.service.number_formatting import (
     Quantity,
     named_quantity,
     not_neutral,
     quantities_inside,
     quantities_json,
 )
-from palpate.storage.records.tasks import EvaluationResult
-from palpate.storage.stores.store import open_store
-from palpate.storage.stores.volumes import load_volume
-from palpate.workers.organs.study_checks import caveats_of
-from palpate.workers.tasks.evaluation import simulate_once
-from palpate.workers.tasks.study_checks import check_case
+from palpate.storage.store import open_store
+from palpate.storage.stored_arrays import load_volume
+from palpate.storage.values import EvaluationResult
+from palpate.workers.organs.plausibility_rule import caveats_of
+from palpate.workers.tasks.plausibility import check_case
+from palpate.workers.tasks.study_tasks import simulate_once
 
 
 def simulate(

@@ -7,18 +7,16 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from palpate.service.commands.common import JsonOption, StudyArgument, print_json
 from palpate.service.commands.named_study import find_study
-from palpate.service.commands.tables import make_console, print_table
-from palpate.service.formatting import number
-from palpate.service.quantities import quantities_at_door
-from palpate.service.results.as_json import study_json
-from palpate.service.results.read import study_results
-from palpate.service.results.record import StudyResults
-from palpate.service.study.count import evaluations_text, generations_text
-from palpate.service.study.observers.progress import clock
-from palpate.storage.records.tasks import Scores
-from palpate.workers.comparison.similarity.objective import Objective
+from palpate.service.commands.shared_options import JsonOption, StudyArgument, print_json
+from palpate.service.commands.terminal_tables import make_console, print_table
+from palpate.service.number_formatting import number, quantities_at_door
+from palpate.service.results.result_records import StudyResults
+from palpate.service.results.results_as_json import study_json
+from palpate.service.results.results_from_journal import study_results
+from palpate.service.study.study_progress import clock, evaluations_text, generations_text
+from palpate.storage.values import Scores
+from palpate.workers.comparison.score_objective import Objective
 
 
 def status(

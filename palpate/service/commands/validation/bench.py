@@ -6,12 +6,12 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from palpate.service.bench.diagnosis import WORKERS, PhaseTimes, measure_diagnosis, projected
-from palpate.service.bench.service import all_rows
-from palpate.service.bench.stages import Row, measure
-from palpate.service.commands.common import JsonOption, print_json
+from palpate.service.bench.diagnosis_timing import WORKERS, PhaseTimes, measure_diagnosis, projected
+from palpate.service.bench.service_overhead import all_rows
+from palpate.service.bench.stage_timing import Row, measure
+from palpate.service.commands.shared_options import JsonOption, print_json
 from palpate.storage.errors import InputError
-from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 
 Number = TypeVar("Number", int, float)
 

@@ -1,5 +1,6 @@
-"""The commands of `palpate blind`."""
+"""The commands of `palpate blind`, and their progress: a bar on a terminal, lines elsewhere."""
 
+import time
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
@@ -8,37 +9,85 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from palpate.service.blind.answering.progress import SetProgress
-from palpate.service.blind.answering.run import Answering, answer, unanswered
-from palpate.service.blind.answering.run import seal as seal_answers
-from palpate.service.blind.making.case import make_case
-from palpate.service.blind.making.set import SetRequest, plan, seal, unmade
-from palpate.service.blind.making.set import make as make_cases
-from palpate.service.blind.report.markdown import filled
-from palpate.service.blind.report.page import render
-from palpate.service.blind.report.words import interval, limit, shown
-from palpate.service.blind.scoring.metrics import Metric
-from palpate.service.blind.scoring.score import record, score_sets
-from palpate.service.blind.scoring.scored_set import ScoredSet
-from palpate.service.blind.sealed.sets import BlindSet, Truths, read_manifest
-from palpate.service.cluster.dispatch import Dispatcher
-from palpate.service.cluster.worker_range import Workers
-from palpate.service.commands.common import (
+from palpate.service.blind.blind_metrics import Metric
+from palpate.service.blind.blind_page import interval, limit, render, shown, with_metrics
+from palpate.service.blind.sealed_set import BlindSet, Truths, read_manifest
+from palpate.service.blind.set_answering import Answering, answer, unanswered
+from palpate.service.blind.set_answering import seal as seal_answers
+from palpate.service.blind.set_making import SetRequest, make_case, plan, seal, unmade
+from palpate.service.blind.set_making import make as make_cases
+from palpate.service.blind.set_scoring import ScoredSet, score_record, score_sets
+from palpate.service.cluster.cluster_choice import Workers
+from palpate.service.cluster.task_dispatch import Dispatcher
+from palpate.service.commands.command_line import cluster_options, interruptible, store_place
+from palpate.service.commands.shared_options import (
     JsonOption,
     SchedulerOption,
     StoreOption,
     WorkersOption,
     print_json,
 )
-from palpate.service.commands.interrupts import interruptible
-from palpate.service.commands.settings import cluster_options, store_place
-from palpate.service.commands.tables import make_console, print_table, progress_console
-from palpate.service.study.session import session
-from palpate.storage.backends.atomic import write_file
+from palpate.service.commands.terminal_tables import make_console, print_table, progress_console
+from palpate.service.study.study_progress import clock
+from palpate.service.study.study_session import session
+from palpate.storage.backends.atomic_files import write_file
 from palpate.storage.errors import InputError
+from palpate.workers.blind.case_deviations import World
 from palpate.workers.blind.random_case import CONTROL, KINDS
-from palpate.workers.blind.world import World
+
+LINE_EVERY_S = 10.0
+
+
+class SetProgress:
+    """Progress bar for cases, on standard error.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+    what : str
+        The operation, such as "made".
+    done, of : int
+        Numbers of cases.
+    """
+
+    def __init__(self, console: Console, what: str, done: int, of: int) -> None:
+        self.console, self.what, self.done, self.of = console, what, done, of
+        self._begun = self._last = time.monotonic()
+        self._bar: Progress | None = None
+        if console.is_terminal:
+            columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+            self._bar = Progress(*columns, console=console)
+            self._task = self._bar.add_task(what, total=of, completed=done)
+
+    def __enter__(self) -> "SetProgress":
+        if self._bar is not None:
+            self._bar.start()
+        else:
+            self._line(f"{self.of} cases, {self.done} of them already {self.what}")
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, note: str = "") -> None:
+        """Count one more case; a note is printed on a separate line."""
+        self.done += 1
+        if self._bar is not None:
+            self._bar.update(self._task, completed=self.done)
+        due = time.monotonic() - self._last >= LINE_EVERY_S
+        if note or (self._bar is None and (due or self.done == self.of)):
+            self._line(
+                f"{self.done} of {self.of} cases {self.what}" + (f": {note}" if note else "")
+            )
+
+    def _line(self, text: str) -> None:
+        self._last = time.monotonic()
+        spent = clock(self._last - self._begun)
+        self.console.print(f"[{spent}] {text}", markup=False, highlight=False, soft_wrap=True)
+
 
 NODES = 5000
 
@@ -206,7 +255,7 @@ def score(
     if into is not None:
         _put_into(into, scored)
     if as_json:
-        print_json(record(scored))
+        print_json(score_record(scored))
         return
     _print(scored, make_console())
     if page is not None:
@@ -242,7 +291,7 @@ def _write(page: Path, scored: ScoredSet) -> None:
 def _put_into(text: Path, scored: ScoredSet) -> None:
     if not text.is_file():
         raise InputError(f"--into {text}: no such file. Give a text file with the two markers.")
-    write_file(text, filled(text.read_text(encoding="utf-8"), scored).encode())
+    write_file(text, with_metrics(text.read_text(encoding="utf-8"), scored).encode())
 
 
 def _print(scored: ScoredSet, console: Console) -> None:

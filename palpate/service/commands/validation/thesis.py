@@ -1,36 +1,97 @@
-"""The command `palpate thesis`."""
+"""The command `palpate thesis`, with its progress on standard error."""
 
+import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from palpate.service.cluster.open import usable_cores
-from palpate.service.cluster.worker_range import Workers, most_workers
-from palpate.service.commands.common import (
+from palpate.service.cluster.cluster_choice import Workers, most_workers
+from palpate.service.cluster.dask_cluster import usable_cores
+from palpate.service.commands.command_line import (
+    RUNS,
+    cluster_options,
+    interruptible,
+    note,
+    store_place,
+)
+from palpate.service.commands.shared_options import (
     JsonOption,
     SchedulerOption,
     StoreOption,
     WorkersOption,
     print_json,
 )
-from palpate.service.commands.interrupts import interruptible
-from palpate.service.commands.settings import RUNS, cluster_options, store_place
-from palpate.service.commands.tables import make_console, print_table, progress_console
-from palpate.service.commands.verbosity import note
-from palpate.service.study.session import session
-from palpate.service.thesis.estimate import estimate
-from palpate.service.thesis.experiments import EXPERIMENTS
-from palpate.service.thesis.progress import ThesisProgress
-from palpate.service.thesis.results import ThesisResults, thesis_results
-from palpate.service.thesis.run import ThesisRequest, run_thesis
-from palpate.service.thesis.search import POLISHED
-from palpate.service.thesis.verdicts import verdicts
-from palpate.service.thesis.write import write_all
+from palpate.service.commands.terminal_tables import make_console, print_table, progress_console
+from palpate.service.number_formatting import duration
+from palpate.service.study.study_progress import clock
+from palpate.service.study.study_session import session
+from palpate.service.thesis.remaining_time import estimate
+from palpate.service.thesis.thesis_book import write_all
+from palpate.service.thesis.thesis_experiments import (
+    EXPERIMENTS,
+    POLISHED,
+    Step,
+    ThesisRequest,
+    run_thesis,
+)
+from palpate.service.thesis.thesis_results import ThesisResults, thesis_results
+from palpate.service.thesis.thesis_verdicts import verdicts
 from palpate.storage.errors import InputError
-from palpate.storage.records.typed_json import to_json
-from palpate.workers.thesis.scale import Scale
+from palpate.storage.json_digests import to_json
+from palpate.workers.thesis.phantom_compression import Scale
+
+LINE_EVERY_S = 10.0
+
+
+class ThesisProgress:
+    """A bar for each phase or search; occasional lines in a log.
+
+    Parameters
+    ----------
+    console : rich.console.Console
+        The console of standard error.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self._begun = time.monotonic()
+        self._last = 0.0
+        self._cpu_s = 0.0
+        self._bars: Progress | None = None
+        self._tasks: dict[str, int] = {}
+        if console.is_terminal:
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+            self._bars = Progress(*columns, TimeElapsedColumn(), console=console)
+
+    def __enter__(self) -> "ThesisProgress":
+        if self._bars is not None:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._bars is not None:
+            self._bars.stop()
+
+    def __call__(self, step: Step) -> None:
+        """Display one step."""
+        self._cpu_s += step.cpu_s
+        title = f"{step.experiment}: {step.title}"
+        if self._bars is not None:
+            if title not in self._tasks:
+                self._tasks[title] = self._bars.add_task(title, total=step.of)
+            self._bars.update(self._tasks[title], completed=step.done)  # type: ignore[arg-type]
+            return
+        now = time.monotonic()
+        if not step.label or step.done == step.of or now - self._last >= LINE_EVERY_S:
+            self._last = now
+            label = f": {step.label}" if step.label else ""
+            text = f"{title}, {step.done} of {step.of}{label}"
+            spent = f"{clock(now - self._begun)}, {duration(self._cpu_s)} of processor time"
+            self.console.print(f"[{spent}] {text}", markup=False, highlight=False, soft_wrap=True)
+
 
 EVERYTHING = ("all", "book")
 

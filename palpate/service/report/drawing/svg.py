@@ -1,8 +1,14 @@
-"""Charts as inline SVG.
+"""Charts as SVG, and the panels on which sections are drawn.
+
+Charts as inline SVG.
 
 Colours are classes of the page's style sheet, so charts follow light and dark mode; text stays
 text. A curve takes a few hundred bytes and a chart about a millisecond, so a running study can
 rewrite its page often.
+
+Panels that show a region of space to scale, with axes in mm, and contours in them.
+
+Contours run halfway between the pixels of a mask and their neighbours outside.
 """
 
 import math
@@ -10,9 +16,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
 from markupsafe import Markup, escape
+from numpy.typing import NDArray
+from skimage.measure import find_contours
 
-from palpate.service.formatting import MINUS
+from palpate.service.number_formatting import MINUS
+from palpate.storage.values import BoolArray
 
 # Width of a letter relative to the font size, slightly overestimated.
 LETTER = 0.56
@@ -246,3 +256,139 @@ def _written(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.1f}".removesuffix(".0")
     return str(escape(value))
+
+
+Contour = NDArray[np.int64]
+
+
+def contours(inside: BoolArray) -> list[Contour]:
+    """Return the lines halfway between pixels inside and their neighbours outside.
+
+    Lines end at the edge of the mask; the last point of a closed one equals the first.
+
+    Parameters
+    ----------
+    inside : ndarray of bool, shape (rows, columns)
+        Row 0 at the bottom.
+
+    Returns
+    -------
+    list of ndarray of int, shape (n, 2)
+        Vertices (across, up) in half pixels from the centre of ``inside[0, 0]``.
+    """
+    if min(inside.shape) < 2:
+        return []
+    found = find_contours(inside.astype(np.float64), 0.5)
+    return [_bends(np.rint(2 * line[:, ::-1]).astype(np.int64)) for line in found]
+
+
+def _bends(line: Contour) -> Contour:
+    steps = np.diff(line, axis=0)
+    bend = (steps[1:] != steps[:-1]).any(axis=1)
+    return line[np.concatenate([[True], bend, [True]])]
+
+
+def path_of(lines: list[Contour]) -> str:
+    """Return lines as the data of an SVG path, in relative steps."""
+    commands = []
+    for line in lines:
+        (x, y), steps = line[0].tolist(), np.diff(line, axis=0).ravel().tolist()
+        commands.append(f"M{x} {y}l" + " ".join(map(str, steps)))
+    return "".join(commands)
+
+
+Frame = tuple[float, float, float, float]
+# Margins of a panel: ticks and a label on the left and below, a title above.
+LEFT_PX, BELOW_PX, ABOVE_PX = 52.0, 42.0, 18.0
+TICK_PX = 4.0
+LINE_PX = 0.6
+TICKS = 5
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A frame in space and its place in a drawing.
+
+    Parameters
+    ----------
+    frame_mm : tuple of float
+        Left, right, bottom and top.
+    x, y : float
+        Upper left corner in pixels.
+    per_mm : float
+        Pixels per mm.
+    """
+
+    frame_mm: Frame
+    x: float
+    y: float
+    per_mm: float
+
+    @property
+    def across(self) -> Scale:
+        """Return the horizontal axis."""
+        left, right, _, _ = self.frame_mm
+        return Scale(left, right, self.x, self.x + self.per_mm * (right - left))
+
+    @property
+    def up(self) -> Scale:
+        """Return the vertical axis."""
+        _, _, bottom, top = self.frame_mm
+        return Scale(bottom, top, self.y + self.per_mm * (top - bottom), self.y)
+
+    def image(self, svg: Svg, address: str, extent_mm: Frame, **attributes: object) -> None:
+        """Draw an image with its edges at `extent_mm`."""
+        left, right, bottom, top = extent_mm
+        x, y = self.across.at(left), self.up.at(top)
+        svg.add(
+            "image",
+            href=address,
+            preserveAspectRatio="none",
+            x=f"{x:.2f}",
+            y=f"{y:.2f}",
+            width=f"{self.per_mm * (right - left):.2f}",
+            height=f"{self.per_mm * (top - bottom):.2f}",
+            **attributes,
+        )
+
+    def lines(
+        self,
+        svg: Svg,
+        lines: list[Contour],
+        spacing_mm: tuple[float, float],
+        origin_mm: tuple[float, float],
+    ) -> None:
+        """Draw lines between pixels of a section; the origin is the centre of its first pixel."""
+        if not lines:
+            return
+        (dx, dy), (x, y) = spacing_mm, origin_mm
+        # Points are in half pixels of the section; integer steps in tenths of a drawing pixel are
+        # compact.
+        tenths = 10 * self.per_mm * np.array([dx, dy]) / 2
+        svg.add(
+            "path",
+            d=path_of([np.rint(line * tenths).astype(np.int64) for line in lines]),
+            class_="interface",
+            stroke_width=10 * LINE_PX,
+            transform=f"translate({self.across.at(x):.2f} {self.up.at(y):.2f}) scale(.1 -.1)",
+        )
+
+    def axes(self, svg: Svg, across: str, up: str, below: Sequence[str] = ()) -> None:
+        """Draw both axes with their labels; `below` are further lines below them."""
+        right, upwards = self.across, self.up
+        x, y = right.start, upwards.start
+        for value in right.ticks(TICKS):
+            pixel = right.at(value)
+            svg.add("path", d=f"M{pixel:.1f} {y:.1f}v{TICK_PX:.1f}", class_="axis")
+            svg.text(pixel, y + 15, tick_text(value), text_anchor="middle", class_="tick")
+        for value in upwards.ticks(TICKS):
+            pixel = upwards.at(value)
+            svg.add("path", d=f"M{x:.1f} {pixel:.1f}h{-TICK_PX:.1f}", class_="axis")
+            svg.text(x - 7, pixel + 4, tick_text(value), text_anchor="end", class_="tick")
+        svg.add("path", d=f"M{x:.1f} {upwards.end:.1f}V{y:.1f}H{right.end:.1f}", class_="axis")
+        middle = (right.start + right.end) / 2
+        for number, line in enumerate((across, *below)):
+            svg.text(middle, y + 31 + 16 * number, line, text_anchor="middle")
+        pixel = (upwards.start + upwards.end) / 2
+        turned = f"rotate(-90 {x - 38:.1f} {pixel:.1f})"
+        svg.text(x - 38, pixel, up, text_anchor="middle", transform=turned)

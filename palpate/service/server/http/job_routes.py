@@ -10,9 +10,9 @@ from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, R
 from fastapi import Path as PathParameter
 from fastapi.responses import FileResponse, StreamingResponse
 
-from palpate.service.results.as_json import candidate_json, study_json
-from palpate.service.results.read import candidate_results, study_results
-from palpate.service.server.api import (
+from palpate.service.results.results_as_json import candidate_json, study_json
+from palpate.service.results.results_from_journal import candidate_results, study_results
+from palpate.service.server.api_models import (
     DiagnosisSubmission,
     JobPage,
     JobView,
@@ -21,20 +21,24 @@ from palpate.service.server.api import (
     Problem,
     State,
     StudySubmission,
+    public_text,
 )
-from palpate.service.server.http.access import Here, Writer, check_may_change, reader
-from palpate.service.server.http.streams import event_stream
-from palpate.service.server.http.strict_json import StrictRoute
-from palpate.service.server.jobs.home import NAME_PATTERN
-from palpate.service.server.jobs.queue import Job
-from palpate.service.server.jobs.study_job import study_request
-from palpate.service.server.jobs.submissions import study_from
-from palpate.service.server.live.events import job_events
-from palpate.service.server.live.journal_tail import JournalTail
-from palpate.service.server.public_text import public
-from palpate.service.server.service import Service
-from palpate.service.server.views import ENDED, job_file, job_view, state_of, view_now
-from palpate.storage.backends.layout import StudyLayout
+from palpate.service.server.http.event_streams import event_stream, job_events
+from palpate.service.server.http.request_checks import (
+    Here,
+    StrictRoute,
+    Writer,
+    check_may_change,
+    reader,
+)
+from palpate.service.server.http.service_views import ENDED, job_file, job_view, state_of, view_now
+from palpate.service.server.job_progress import JournalTail
+from palpate.service.server.jobs.home_and_tokens import NAME_PATTERN
+from palpate.service.server.jobs.job_queue import Job
+from palpate.service.server.jobs.study_and_diagnosis_jobs import study_request
+from palpate.service.server.jobs.untrusted_inputs import study_from
+from palpate.service.server.running_service import Service
+from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError
 
 # A report page runs in a sandbox, without the session cookie.
@@ -212,7 +216,7 @@ def get_candidate(
     try:
         return candidate_json(candidate_results(_begun(service, job), candidate))
     except InputError as error:
-        raise HTTPException(404, public(str(error))) from error
+        raise HTTPException(404, public_text(str(error))) from error
 
 
 @router.get("/jobs/{job}/journal", responses=_refusals(404, 409))

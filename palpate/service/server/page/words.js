@@ -1,4 +1,4 @@
-// Numbers, times and states formatted for readers, as in service/formatting.py.
+// Numbers, times and states formatted for readers, as in palpate/service/number_formatting.py.
 
 export const number = (value, digits = 4) => {
   if (value === null || value === undefined || value === "nan") return "\u2013";

@@ -15,8 +15,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from palpate.storage.values import FloatArray, IntArray
-from palpate.workers.body.mesh.outline import Outline, distance_at
-from palpate.workers.compile_flags import EXACT
+from palpate.workers.body.mesh.body_outline import Outline, distance_at
+from palpate.workers.body.mesh.mesh_geometry import compacted
+from palpate.workers.kernels_and_threads import EXACT
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +54,10 @@ def bcc_lattice(outline: Outline, cell_mm: float) -> Lattice:
     corner[2] = outline.wall_z_mm
     nodes, distance = _nodes(cells, corner, cell_mm, outline.field, outline.frame)
     tets = _tets(cells, distance)
-    used = np.zeros(len(nodes), np.bool_)
-    used[tets] = True
-    number = np.cumsum(used, dtype=np.int32) - np.int32(1)
+    mesh, used = compacted(nodes, tets)
     layer = (cells[0] + 1) * (cells[1] + 1)
     wall = np.arange(len(nodes)) < layer
-    return Lattice(nodes[used], number[tets], distance[used], wall[used], cell_mm)
+    return Lattice(mesh.nodes, mesh.tets, distance[used], wall[used], cell_mm)
 
 
 @njit(**EXACT)
@@ -121,8 +120,8 @@ def _tets(cells: NDArray[np.int64], distance: FloatArray) -> IntArray:
                         count = _add_if_inside(tets, count, distance, c1, c2, c3, mid)
                         count = _add_if_inside(tets, count, distance, c1, c3, c0, mid)
                 for axis in range(3):
-                    at = (i, j, k)
-                    if at[axis] + 1 == cells[axis]:
+                    cell = (i, j, k)
+                    if cell[axis] + 1 == cells[axis]:
                         continue
                     other = mid + hop[axis]
                     u, v = stride[(axis + 1) % 3], stride[(axis + 2) % 3]

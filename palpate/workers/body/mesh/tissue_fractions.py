@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray, TetMesh, Tissue, Volume
-from palpate.workers.compile_flags import EXACT
+from palpate.workers.kernels_and_threads import EXACT
 
 N_TISSUES = len(Tissue)
 NUDGE = 1e-3  # nodes are sampled this fraction towards the centroid, to avoid voxel faces
@@ -113,13 +113,13 @@ def _nearest_tissue(
     """Return the tissue of the nearest voxel that is not air within 12 voxels, else fat."""
     nz, ny, nx = values.shape
     u, v, w = (x - corner[0]) * per_mm[0], (y - corner[1]) * per_mm[1], (z - corner[2]) * per_mm[2]
-    at = (int(np.floor(u)), int(np.floor(v)), int(np.floor(w)))
+    voxel = (int(np.floor(u)), int(np.floor(v)), int(np.floor(w)))
     best = np.inf
     tissue = 1
     for ring in range(1, 13):
-        for k in range(max(at[2] - ring, 0), min(at[2] + ring + 1, nz)):
-            for j in range(max(at[1] - ring, 0), min(at[1] + ring + 1, ny)):
-                for i in range(max(at[0] - ring, 0), min(at[0] + ring + 1, nx)):
+        for k in range(max(voxel[2] - ring, 0), min(voxel[2] + ring + 1, nz)):
+            for j in range(max(voxel[1] - ring, 0), min(voxel[1] + ring + 1, ny)):
+                for i in range(max(voxel[0] - ring, 0), min(voxel[0] + ring + 1, nx)):
                     label = values[k, j, i]
                     if label == 0:
                         continue

@@ -18,9 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from palpate.storage.values import FloatArray
-from palpate.workers.body.phantom.compartments import Compartments
-from palpate.workers.body.phantom.settings import BreastPhantom
-from palpate.workers.body.phantom.voxel_classification import (
+from palpate.workers.body.phantom.compartments import (
     DEPTH,
     FIRST_ID,
     HALF_LIGAMENT,
@@ -30,11 +28,13 @@ from palpate.workers.body.phantom.voxel_classification import (
     SKIN_ID,
     UPPER,
     Candidates,
+    Compartments,
     Ids,
     fill_voxels,
     ray_length,
 )
-from palpate.workers.compile_flags import EXACT
+from palpate.workers.body.phantom.phantom_settings import BreastPhantom
+from palpate.workers.kernels_and_threads import EXACT
 
 Box = NDArray[np.int32]
 

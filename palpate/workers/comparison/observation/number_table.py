@@ -178,10 +178,10 @@ def _without_units(
     if not rows or any(_is_number(cell) for cell in rows[0][1]) or not any(rows[0][1]):
         return rows
     line, cells = rows[0]
-    found = [cell.strip("[]() ").lower() for cell in cells]
-    if len(cells) != len(header) or not set(found) <= UNITS:
+    unit_row = [cell.strip("[]() ").lower() for cell in cells]
+    if len(cells) != len(header) or not set(unit_row) <= UNITS:
         return rows
-    for name, unit in zip(header, found, strict=True):
+    for name, unit in zip(header, unit_row, strict=True):
         if unit and name in units and unit not in units[name]:
             raise InputError(
                 f"{path}, line {line}: the column {name} is in {unit}, expected "
@@ -219,7 +219,7 @@ def _numbers(path: Path, texts: Mapping[str, list[tuple[int, str]]]) -> dict[str
                 f"{path}, line {line}: the cell in column {name} has {len(text)} characters, "
                 "expected a number."
             )
-    digits = [one for one in cells if _special(one[2]) is None]
+    digits = [cell for cell in cells if _special(cell[2]) is None]
     mark, group = _convention(path, digits)
     return {
         name: np.array([_value(text, mark, group) for _, text in column], np.float64)

@@ -17,8 +17,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from palpate.storage.values import FloatArray, IntArray
-from palpate.workers.body.mesh.incidence import elements_of_nodes
-from palpate.workers.compile_flags import CONTRACTED
+from palpate.workers.body.mesh.mesh_geometry import elements_of_nodes
+from palpate.workers.kernels_and_threads import CONTRACTED
 
 BLOCK = 16  # voxels of a line that are checked together for a nearer vertex of a neighbour
 NEAR = 6.0  # voxels within which triangles are used
@@ -291,11 +291,11 @@ def _refine(
             for x in range(nx):
                 if squared[z, y, x] > near * near:
                     continue
-                at = x * step[0], y * step[1], z * step[2]
-                vertex = _nearest_around(at, points, z, y, x, nearest)
-                least = _from_vertex(at, points, vertex)
+                place = x * step[0], y * step[1], z * step[2]
+                vertex = _nearest_around(place, points, z, y, x, nearest)
+                least = _from_vertex(place, points, vertex)
                 for a in range(start[vertex], start[vertex + 1]):
-                    least = min(least, _to_triangle(at, points, triangles, content[a]))
+                    least = min(least, _to_triangle(place, points, triangles, content[a]))
                 squared[z, y, x] = least
 
 

@@ -1,26 +1,135 @@
-"""Gauss-Newton fit of a hypothesis's parameters to the scans."""
+r"""Gauss-Newton fit of a hypothesis's parameters to the scans.
+
+The Hessian of half a sum of squares is :math:`A^T A + \sum_i r_i \nabla^2 r_i`. The second part,
+which the Gauss-Newton method neglects, is negligible if the residuals are small or nearly linear. A
+localised effect moves the points nonlinearly, and noise is never small: a step based on the first
+part alone then achieves a tenth of the expected decrease, and a line search crawls. The second part
+is estimated from secants as in NL2SOL (J. E. Dennis, D. M. Gay and R. E. Welsch, ACM Trans. Math.
+Softw. 7 (1981) 348), and used for the next step if it would have predicted the last step better.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from palpate.storage.values import FloatArray, IntArray
-from palpate.workers.diagnosis.algebra.linearisation import Linearised, factored
-from palpate.workers.diagnosis.fits.secant_curvature import LocalModel, SecantCurvature
-from palpate.workers.diagnosis.noise.evidence import LinearHypothesis
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.linearisation import Linearised, factored
+from palpate.workers.diagnosis.noise.averaged_evidence import LinearHypothesis
 from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, Scan, Unknowns
-from palpate.workers.diagnosis.problem.scan_poses import PosedNoise, poses_of, registered, residuals
 from palpate.workers.diagnosis.problem.scan_prediction import (
     ComparedScan,
+    PosedNoise,
     PredictedScan,
     ScanJacobian,
     derivatives,
+    poses_of,
     predict_scan,
+    registered,
+    residuals,
 )
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
-from palpate.workers.scan_threads import Each
+from palpate.workers.kernels_and_threads import Each
+from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium
+
+SMALLEST_CURVATURE = 1e-12
+
+
+@dataclass(frozen=True, eq=False)
+class LocalModel:
+    """Quadratic model of half the cost, with parameters in prior standard deviations.
+
+    Parameters
+    ----------
+    columns : ndarray, shape (m, p)
+        Derivatives of the whitened residuals.
+    residual : ndarray, shape (m,)
+        Whitened residuals, without the part that poses explain.
+    gradient : ndarray, shape (p,)
+        Gradient, including the prior.
+    curvature : ndarray, shape (p, p)
+        Gauss-Newton curvature, including the prior.
+    """
+
+    columns: FloatArray
+    residual: FloatArray
+    gradient: FloatArray
+    curvature: FloatArray
+
+    def fall(self, step: FloatArray, missing: FloatArray | None = None) -> float:
+        """Return the expected decrease in cost over a step, (p,)."""
+        bent = self.curvature if missing is None else self.curvature + missing
+        return float(-2.0 * self.gradient @ step - step @ bent @ step)
+
+
+@dataclass(frozen=True, eq=False)
+class SecantCurvature:
+    """The neglected curvature, estimated from the steps so far.
+
+    Parameters
+    ----------
+    missing : ndarray, shape (p, p)
+    is_used : bool
+        Whether the next step takes the estimate into account.
+    last : LocalModel, optional
+        The model at the start of the last step.
+    step : ndarray, shape (p,), optional
+        The last step.
+    """
+
+    missing: FloatArray
+    is_used: bool = False
+    last: LocalModel | None = None
+    step: FloatArray | None = None
+
+    @classmethod
+    def unknown(cls, parameters: int) -> "SecantCurvature":
+        """Return the initial estimate, for a fit that has not taken a step."""
+        return cls(np.zeros((parameters, parameters)))
+
+    @property
+    def is_known(self) -> bool:
+        """Whether any step has contributed to the estimate."""
+        return bool(self.missing.any())
+
+    def used(self) -> "SecantCurvature":
+        """Return the estimate, to be used in the next step."""
+        return replace(self, is_used=True)
+
+    def stepped(self, model: LocalModel, step: FloatArray, fall: float) -> "SecantCurvature":
+        """Return the estimate after recording a step from a model, given the decrease in cost."""
+        without, with_it = model.fall(step), model.fall(step, self.missing)
+        better = self.is_known and abs(fall - with_it) < abs(fall - without)
+        return SecantCurvature(self.missing, better, model, step)
+
+    def renewed(self, now: LocalModel) -> "SecantCurvature":
+        """Return the estimate updated at the end of the last step."""
+        if self.last is None or self.step is None:
+            return self
+        s, bent = self.step, self.missing
+        y = now.gradient - self.last.gradient
+        wanted = now.columns.T @ now.residual - self.last.columns.T @ now.residual
+        along = float(s @ bent @ s)
+        if along:
+            bent = bent * min(1.0, abs(float(s @ wanted)) / abs(along))
+        ys = float(y @ s)
+        if ys > SMALLEST_CURVATURE * float(np.linalg.norm(y) * np.linalg.norm(s)):
+            off = wanted - bent @ s
+            bent = bent + (np.outer(off, y) + np.outer(y, off)) / ys
+            bent = bent - float(s @ off) * np.outer(y, y) / ys**2
+        return SecantCurvature(bent, self.is_used)
+
+    def forgotten(self) -> "SecantCurvature":
+        """Return the estimate without the last step, if the derivatives at its end are unknown."""
+        return replace(self, last=None, step=None)
+
+    def curvature(self, model: LocalModel) -> FloatArray:
+        """Return the curvature for the next step, positive definite, shape (p, p)."""
+        if not self.is_used:
+            return model.curvature
+        bent = model.curvature + self.missing
+        lacks = SETTINGS.fit.least_curvature - float(np.linalg.eigvalsh(bent)[0])
+        return bent + max(lacks, 0.0) * np.eye(len(bent))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +204,9 @@ class Fit:
         )
 
     def hypothesis(self, inverse: InverseProblem) -> LinearHypothesis:
-        """Return the linearisation for `workers.diagnosis.noise.evidence.NoiseModel`."""
+        """Return the linearisation for `workers.diagnosis.noise.averaged_evidence.NoiseModel`."""
         u = self.unknowns
-        found = LinearHypothesis(
+        linear = LinearHypothesis(
             self.residual(inverse),
             self.jacobian * u.sd,
             (self.z - u.mean) / u.sd,
@@ -105,10 +214,10 @@ class Fit:
             np.zeros(len(u.sd), np.bool_),
             self.at_bound,
         )
-        return found.with_errors(self.pose_columns(inverse), are_poses=True)
+        return linear.with_errors(self.pose_columns(inverse), are_poses=True)
 
     def pose_columns(self, inverse: InverseProblem) -> FloatArray:
-        """Return the pose columns; see `workers.diagnosis.problem.scan_poses`."""
+        """Return the pose columns; see `workers.diagnosis.problem.scan_prediction`."""
         return poses_of(inverse, self.predictions)
 
 
@@ -176,21 +285,21 @@ def fit(
         if expected < tolerance:
             return SolvedFit(unknowns, z, predictions, J, cost, True, iteration)
         descent = _Descent(z, predictions, cost, length)
-        found = _descend(inverse, unknowns, descent, step, jacobians, each)
-        if found is None and not fresh:
+        next_descent = _descend(inverse, unknowns, descent, step, jacobians, each)
+        if next_descent is None and not fresh:
             jacobians = None  # reused derivatives may point uphill
             continue
         at_rest = expected < SETTINGS.fit.at_rest
-        fall = 0.0 if found is None else cost - found.cost
+        fall = 0.0 if next_descent is None else cost - next_descent.cost
         settled = fall < tolerance
-        if found is not None:
+        if next_descent is not None:
             was_used = secant.is_used
-            secant = secant.stepped(model, (found.z - z) / unknowns.sd, fall)
-            z, predictions, cost = found.z, found.predictions, found.cost
+            secant = secant.stepped(model, (next_descent.z - z) / unknowns.sd, fall)
+            z, predictions, cost = next_descent.z, next_descent.predictions, next_descent.cost
             same = secant.is_used == was_used
-            length = _next_length(found.length, fall, expected) if same else 1.0
+            length = _next_length(next_descent.length, fall, expected) if same else 1.0
         stalls = stalls + 1 if settled else 0
-        stuck = not secant.is_known or (found is None and secant.is_used)
+        stuck = not secant.is_known or (next_descent is None and secant.is_used)
         if settled and (at_rest or stuck or stalls > SETTINGS.fit.stalls):
             break
         if settled and not secant.is_used:
@@ -220,12 +329,12 @@ def _predict_scans(
     ) -> PredictedScan | None:
         return predict_scan(inverse, scan, unknowns, z, start, pose)
 
-    found = []
-    for one in each(predicted, inverse.scans, starts, poses):
-        if one is None:
+    predictions = []
+    for prediction in each(predicted, inverse.scans, starts, poses):
+        if prediction is None:
             return None
-        found.append(one)
-    return registered(inverse, unknowns, z, found)
+        predictions.append(prediction)
+    return registered(inverse, unknowns, z, predictions)
 
 
 def _jacobians(
@@ -319,14 +428,14 @@ def _descend(
     each: Each,
 ) -> _Descent | None:
     """Shorten a step, starting from the previous length, until the cost falls."""
-    poses, length = [one.pose for one in before.predictions], before.length
+    poses, length = [prediction.pose for prediction in before.predictions], before.length
     for _ in range(SETTINGS.fit.max_halvings):
         z = np.clip(before.z + length * step, u.lower, u.upper)
         starts = _starts(inverse, before.predictions, jacobians, z - before.z)
-        found = _predict_scans(inverse, u, z, starts, poses, each)
-        if found is not None:
-            cost = _cost(inverse, u, z, found)
+        predictions = _predict_scans(inverse, u, z, starts, poses, each)
+        if predictions is not None:
+            cost = _cost(inverse, u, z, predictions)
             if cost < before.cost:
-                return _Descent(z, found, cost, length)
+                return _Descent(z, predictions, cost, length)
         length *= SETTINGS.fit.shortening
     return None

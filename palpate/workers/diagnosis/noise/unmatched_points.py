@@ -25,8 +25,8 @@ from scipy.spatial import KDTree
 from scipy.special import gammaincc, log_ndtr
 
 from palpate.storage.values import BoolArray, FloatArray, IntArray
-from palpate.workers.comparison.observation.interface import InterfacePoints
-from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.comparison.observation.interface_residual import InterfacePoints
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 
 # Standard deviation of a normal distribution divided by the median of its absolute values.
 SD_OF_MEDIAN = 1.4826
@@ -94,8 +94,8 @@ def _off_all_others(
     around = [np.array(near, np.int32) for near in tree.query_ball_point(points.points, beside_mm)]
     off |= _improbable_together(fit, far, around)
     for scan, outliers in enumerate(off):
-        for one in np.flatnonzero(outliers).tolist():
-            off[scan, around[one]] |= far[scan, around[one]] > settings.beside
+        for outlier in np.flatnonzero(outliers).tolist():
+            off[scan, around[outlier]] |= far[scan, around[outlier]] > settings.beside
     return fit, off
 
 
@@ -190,17 +190,17 @@ class _Fit:
 
     def reweighted(self, weigh: Callable[[FloatArray], FloatArray]) -> "_Fit":
         """Return the fit under new weights, starting from the residuals of this fit."""
-        at, before = self, np.full(len(self.residual), np.inf)
+        fit, before = self, np.full(len(self.residual), np.inf)
         for _ in range(SETTINGS.unmatched.iterations):
-            scale = at.scale
+            scale = fit.scale
             if np.abs(scale / before - 1).max() < SETTINGS.unmatched.settled:
                 break
-            weights = at.use * weigh(at.away / scale) / scale**2
+            weights = fit.use * weigh(fit.away / scale) / scale**2
             H = np.eye(self.columns.shape[1]) + self.columns.T @ (weights[:, None] * self.columns)
-            found = np.linalg.solve(H, self.columns.T @ (weights * self.residual))
-            away = self.residual - self.columns @ found
-            at, before = replace(at, away=away, weights=weights), scale
-        return at
+            solution = np.linalg.solve(H, self.columns.T @ (weights * self.residual))
+            away = self.residual - self.columns @ solution
+            fit, before = replace(fit, away=away, weights=weights), scale
+        return fit
 
     def of(self, shown: BoolArray) -> "_Fit":
         """Return the fit to a subset of the points, shape (k,)."""

@@ -1,26 +1,103 @@
-"""Inverse problem of a diagnosis: a body, its scans, and a model with unknown constants."""
+"""Inverse problem of a diagnosis: a body, its scans, and a model with unknown constants.
+
+Its equilibria come from a forward solver: tetrahedra, unless an organ provides its own model.
+
+Force readings are among its points. A load cell is represented by a point whose displacement is the
+measured force, in units chosen by the organ, with one additional node far from all others. Its
+residual counts in every fit, but not in any gap in mm, because it is not a distance.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, Protocol
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import block_diag, csr_matrix, eye_array
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, IntArray, Triple
-from palpate.workers.comparison.observation.interface import InterfacePoints
-from palpate.workers.comparison.observation.noise import SegmentationNoise
-from palpate.workers.diagnosis.algebra.linearisation import factored
-from palpate.workers.diagnosis.noise.model import LearntNoise
-from palpate.workers.diagnosis.problem.force_readings import FORCE
-from palpate.workers.diagnosis.problem.forward import Forward, Tetrahedra
-from palpate.workers.diagnosis.settings.values import SETTINGS, FieldSettings
-from palpate.workers.mechanics.effects.base import Effect, one_sided
-from palpate.workers.mechanics.fem.elements.model import Model
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
-from palpate.workers.mechanics.fem.problem.fields import Frame
-from palpate.workers.units import KPA, Unit
+from palpate.workers.comparison.observation.interface_residual import InterfacePoints
+from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS, FieldSettings
+from palpate.workers.diagnosis.linearisation import factored
+from palpate.workers.diagnosis.noise.noise_components import LearntNoise
+from palpate.workers.mechanics.effects.effect import Effect, one_sided
+from palpate.workers.mechanics.fem import body_equilibrium, equilibrium_sensitivity
+from palpate.workers.mechanics.fem.boundary_value_problem import Frame, Problem
+from palpate.workers.mechanics.fem.discretisation import Model
+from palpate.workers.mechanics.model_parameters import KPA, Unit
+
+FORCE = 3
+"""Interface number of force readings, beyond those of any organ."""
+
+
+def at_points_with_forces(own: csr_matrix, readings: int) -> csr_matrix:
+    """Extend the interpolation matrix of points by rows for a number of force readings."""
+    return csr_matrix(block_diag([own, eye_array(readings)])) if readings else own
+
+
+class Forward(Protocol):
+    """A solver for one kind of problem; its return values are passed back to it unchanged."""
+
+    def equilibrium(self, model: Any, problem: Any, start: Any = None) -> Any:
+        """Return an equilibrium with its ``solution``; see `mechanics.fem.equilibrium.solve`."""
+
+    def expecting(self, at: Any, moved_mm: FloatArray) -> Any:
+        """Return an equilibrium as a start, with nodes expected to move by `moved_mm`."""
+
+    def tangents(self, at: Any, changes: Sequence[Any], tolerance: float) -> FloatArray:
+        """Return derivatives of the displacement; see `mechanics.fem.equilibrium.sensitivity`."""
+
+    def loosened(self, problem: Any, tolerance_mm: float, friction_steps: int) -> Any:
+        """Return the problem with a coarser tolerance and fewer steps, if applicable.
+
+        If no equilibrium is found from a nearby one, there are no further attempts.
+        """
+
+    def direction(self, problem: Any) -> Sequence[float]:
+        """Return the direction (x, y, z) in which the body is loaded."""
+
+    def pressed(self, at: Any) -> BoolArray | None:
+        """Return a mask of the nodes that a plate presses, shape (n,); None without plates."""
+
+
+class Tetrahedra:
+    """The solver of `workers.mechanics.fem`; see `Forward`."""
+
+    def equilibrium(self, model: Any, problem: Any, start: Any = None) -> Any:
+        """See `Forward.equilibrium`."""
+        return body_equilibrium.equilibrium(model, problem, start)
+
+    def tangents(self, at: Any, changes: Sequence[Any], tolerance: float) -> FloatArray:
+        """See `Forward.tangents`."""
+        return equilibrium_sensitivity.tangents(at, changes, tolerance)
+
+    def expecting(self, at: Any, moved_mm: FloatArray) -> Any:
+        """See `Forward.expecting`."""
+        return at.expecting(moved_mm)
+
+    def loosened(self, problem: Any, tolerance_mm: float, friction_steps: int) -> Any:
+        """See `Forward.loosened`."""
+        return replace(
+            problem,
+            tolerance_mm=max(problem.tolerance_mm, tolerance_mm),
+            friction_steps=min(problem.friction_steps, friction_steps),
+            restarts=False,
+        )
+
+    def direction(self, problem: Any) -> Sequence[float]:
+        """See `Forward.direction`."""
+        axis: Sequence[float] = problem.load.device.axis
+        return axis
+
+    def pressed(self, at: Any) -> BoolArray | None:
+        """See `Forward.pressed`."""
+        level, found = at.levels[-1], np.zeros(len(at.states[-1].x), np.bool_)
+        for contact in level.plate_contacts(at.states[-1], at.stage):
+            found[contact.nodes.index[contact.gap < 0]] = True
+        return found
+
 
 Values = Mapping[str, float]
 Compare = Callable[[FloatArray, InterfacePoints], tuple[FloatArray, FloatArray]]
@@ -77,7 +154,7 @@ class FollowedPoints:
     at_points : csr_matrix, shape (k, n)
         Interpolation of nodal displacements to the points.
     pressed : ndarray, shape (k,)
-        Pressed share of each point, 0 to 1; see `workers.diagnosis.problem.pressed_points`.
+        Pressed share of each point, 0 to 1; see `workers.diagnosis.problem.scan_noise`.
     """
 
     points: FloatArray
@@ -103,7 +180,7 @@ class Scan:
         their derivatives with respect to the positions, (k, 3).
     drawn : callable, optional
         Like `compare`, for the interfaces as drawn, if `compare` uses noise fixed at an anchor; see
-        `workers.diagnosis.problem.anchored_scan`.
+        `workers.diagnosis.problem.scan_noise`.
     interface_mm2 : sequence of float
         Area of each interface in the scan; empty for markers.
     voxel_mm : tuple of float, optional
@@ -149,7 +226,7 @@ class InverseProblem:
         The noise found by the calibration; `covariance` is then its likeliest state.
     anchors : sequence of ndarray, shape (k, 3)
         Positions at which the noise of each scan was evaluated; see
-        `workers.diagnosis.problem.anchored_scan`. Empty before the calibration.
+        `workers.diagnosis.problem.scan_noise`. Empty before the calibration.
     arms : csr_matrix, shape (k, n), optional
         Maps nodal displacements to the displacement of the end of an arm, 1 mm long and
         perpendicular to the surface at the point, relative to its foot. None without markers.
@@ -202,7 +279,7 @@ class InverseProblem:
 
     @property
     def coarsening(self) -> float:
-        """The power zeta of `workers.diagnosis.noise.evidence`; 1 for measured points."""
+        """The power zeta of `workers.diagnosis.noise.averaged_evidence`; 1 for measured points."""
         return SETTINGS.noise.coarsening if self.is_segmented else 1.0
 
     @property

@@ -1,24 +1,39 @@
-"""Predictions of the scans under a hypothesis, with residuals and their derivatives."""
+"""Predictions of the scans under a hypothesis: residuals, their derivatives, and the scans' poses.
+
+Poses are unknown rigid motions of the scans, estimated at any values of the constants. A pose is
+relative to the scan at rest, whose own error is common to all scans.
+
+With residuals r of a model compared with scans at poses p, their derivatives -N with respect to the
+poses, and other noise of covariance S, the poses minimise
+
+.. math:: |S^{-1/2} (r + N p - N q)|^2 + |q|^2
+
+over q, in prior standard deviations. N must be evaluated at the present pose: the normals of a
+drawn interface change within a millimetre, and since all points together determine a pose far
+better than its prior does, derivatives from elsewhere would give a different pose. Integrated over
+q, r + N p has the covariance S + N N'.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from palpate.storage.values import FloatArray, IntArray, Tissue
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.noise.noise_components import correlated, pose_columns
 from palpate.workers.diagnosis.problem.inverse_problem import (
     FollowedPoints,
     InverseProblem,
     Scan,
     Unknowns,
 )
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.observation import rigid_columns, rigidly_moved
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import RELATIVE_ERROR
-from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
-from palpate.workers.mechanics.fem.problem.fields import Frame
+from palpate.workers.mechanics.effects.effect import Effect
+from palpate.workers.mechanics.effects.observation_effects import rigid_columns, rigidly_moved
+from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium
+from palpate.workers.mechanics.fem.boundary_value_problem import Change, Frame, Problem
+from palpate.workers.mechanics.fem.equilibrium_sensitivity import RELATIVE_ERROR
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +103,12 @@ def predict_scan(
     pose: FloatArray | None = None,
 ) -> PredictedScan | None:
     """Simulate one scan; None if the simulation does not converge."""
-    at = inverse.forward.equilibrium(
+    equilibrium = inverse.forward.equilibrium(
         inverse.model, problem_of(scan, unknowns, z, inverse.frame), start
     )
     return (
-        compare_with_scan(inverse, scan, unknowns, z, at, pose)
-        if at.solution.outcome.converged
+        compare_with_scan(inverse, scan, unknowns, z, equilibrium, pose)
+        if equilibrium.solution.outcome.converged
         else None
     )
 
@@ -172,19 +187,19 @@ def derivatives(
     for other parameters the tangents are accurate enough.
     """
     moved, fresh = _moved_nodes(inverse, scan, unknowns, z, prediction), True
-    found = _columns_of_all(inverse, unknowns, z, prediction, moved)
+    columns = _columns_of_all(inverse, unknowns, z, prediction, moved)
     taken_at = z.copy()
     for name in (n for effect in unknowns.effects if effect.follows_path for n in effect.names):
-        at = unknowns.names.index(name)
-        near = SETTINGS.fit.friction_near * unknowns.sd[at]
-        if before is not None and abs(z[at] - before.z[at]) < near:
+        index = unknowns.names.index(name)
+        near = SETTINGS.fit.friction_near * unknowns.sd[index]
+        if before is not None and abs(z[index] - before.z[index]) < near:
             # Keep the value at which that column was computed, so that the column does not drift.
-            found[:, at] = before.columns[:, at]
-            taken_at[at] = before.z[at]
+            columns[:, index] = before.columns[:, index]
+            taken_at[index] = before.z[index]
             fresh = False
         else:
-            found[:, at] = _by_solving(inverse, scan, unknowns, z, prediction, at)
-    return ScanJacobian(taken_at, found, moved, fresh)
+            columns[:, index] = _by_solving(inverse, scan, unknowns, z, prediction, index)
+    return ScanJacobian(taken_at, columns, moved, fresh)
 
 
 def _moved_nodes(
@@ -202,9 +217,9 @@ def _moved_nodes(
             base = problem_of(scan, unknowns, z, inverse.frame, leave_out=effect)
             changes.extend(effect.changes(base, inverse.frame, unknowns.of_effect(effect, z)))
             moving.extend(unknowns.names.index(name) for name in effect.names)
-    found = inverse.forward.tangents(prediction.at, changes, SETTINGS.fit.tangent_error)
-    moved = np.zeros((len(z), *found.shape[1:]))
-    moved[moving] = found
+    tangents = inverse.forward.tangents(prediction.at, changes, SETTINGS.fit.tangent_error)
+    moved = np.zeros((len(z), *tangents.shape[1:]))
+    moved[moving] = tangents
     return moved
 
 
@@ -237,10 +252,10 @@ def _by_solving(
     h = SETTINGS.fit.friction_step * unknowns.sd[at]
     ahead = z.copy()
     ahead[at] += h
-    found = predict_scan(inverse, scan, unknowns, ahead, prediction.at, prediction.pose)
-    if found is None:
+    simulation = predict_scan(inverse, scan, unknowns, ahead, prediction.at, prediction.pose)
+    if simulation is None:
         return np.zeros_like(prediction.residual)
-    return (found.residual - prediction.residual) / h
+    return (simulation.residual - prediction.residual) / h
 
 
 def columns_of(
@@ -335,3 +350,85 @@ def _log_change(
     behind[i] -= SETTINGS.fit.log_step
     plus, minus = (problem_of(scan, unknowns, at, inverse.frame) for at in (ahead, behind))
     return Change(plus, minus, 2 * SETTINGS.fit.log_step)
+
+
+def residuals(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
+    """Return the residuals of all scans, without the mesh bias, shape (m,)."""
+    return np.concatenate([v.residual for v in predictions]) - inverse.bias
+
+
+def poses_of(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> FloatArray:
+    """Return derivatives of the residuals with respect to poses, per prior sd, (m, 6 s).
+
+    There are no columns if the poses are known.
+    """
+    if not inverse.has_poses:
+        return np.zeros((len(inverse.bias), 0))
+    points, normals = [v.points for v in predictions], [v.normals for v in predictions]
+    return pose_columns(points, normals, inverse.frame.centre_mm, *inverse.pose_sd)
+
+
+class PosedNoise:
+    """The noise of residuals with uncertain poses.
+
+    Parameters
+    ----------
+    inverse : InverseProblem
+    predictions : sequence of ComparedScan
+        Predictions that provide the pose columns.
+    """
+
+    def __init__(self, inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> None:
+        self._factor = inverse.covariance_factor
+        self._poses = self.whiten(poses_of(inverse, predictions))
+        curvature = np.eye(self._poses.shape[1]) + self._poses.T @ self._poses
+        self._curvature = cho_factor(curvature, lower=True)
+
+    def whiten(self, values: FloatArray) -> FloatArray:
+        """Return values, (m,) or (m, k), in the space where the noise without poses is white."""
+        return np.asarray(
+            solve_triangular(self._factor, values, lower=True, check_finite=False), np.float64
+        )
+
+    def poses(self, white: FloatArray) -> FloatArray:
+        """Return the most probable poses for whitened residuals, in prior standard deviations."""
+        return np.asarray(cho_solve(self._curvature, self._poses.T @ white))
+
+    def cleared(self, white: FloatArray) -> FloatArray:
+        """Return whitened values times the precision that remains after fitting poses."""
+        return white - self._poses @ self.poses(white)
+
+
+def registered(
+    inverse: InverseProblem, unknowns: Unknowns, z: FloatArray, found: Sequence[PredictedScan]
+) -> tuple[PredictedScan, ...]:
+    """Estimate the poses from the residuals, and compare with the scans in these poses.
+
+    The cost is meaningful only once the poses have converged; off the interface, it is too low.
+    Distances may have a kink at which the best pose alternates between both sides, so steps that
+    do not become shorter are halved.
+    """
+    found = tuple(found)
+    if not inverse.has_poses:
+        return found
+    sd = np.repeat(inverse.pose_sd, 3)
+    poses = np.array(
+        [np.zeros(6) if prediction.pose is None else prediction.pose for prediction in found]
+    )
+    poses /= np.where(sd > 0, sd, 1.0)
+    length, before = 1.0, np.inf
+    for _ in range(SETTINGS.pose.registrations):
+        noise = PosedNoise(inverse, found)
+        best = noise.poses(noise.whiten(residuals(inverse, found)))
+        step = correlated(best.reshape(poses.shape)) - poses
+        longest = float(np.abs(step).max())
+        if longest > SETTINGS.pose.shorter * before:
+            length /= 2
+        if length * longest < SETTINGS.pose.settled:
+            break
+        poses, before = poses + length * step, longest
+        found = tuple(
+            compare_with_scan(inverse, scan, unknowns, z, prediction.at, sd * pose)
+            for scan, prediction, pose in zip(inverse.scans, found, poses, strict=True)
+        )
+    return found

@@ -6,17 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from palpate.storage.values import FloatArray
-from palpate.workers.diagnosis.algebra.evidence import log_evidence
-from palpate.workers.diagnosis.algebra.linearisation import Linearised
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis, ScreeningResult, screen
+from palpate.workers.diagnosis.fits.effect_sensitivities import starting_places
 from palpate.workers.diagnosis.fits.gauss_newton import Fit, SolvedFit, fit
+from palpate.workers.diagnosis.laplace_evidence import log_evidence
+from palpate.workers.diagnosis.linearisation import Linearised
 from palpate.workers.diagnosis.problem.inverse_problem import unknowns
-from palpate.workers.diagnosis.problem.places import starting_places
-from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
-from palpate.workers.diagnosis.screening.screening import ScreeningResult, screen
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.base import Effect, one_sided
-from palpate.workers.mechanics.parameters import Parameter
-from palpate.workers.scan_threads import Each
+from palpate.workers.kernels_and_threads import Each
+from palpate.workers.mechanics.effects.effect import Effect, one_sided
+from palpate.workers.mechanics.model_parameters import Parameter
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,16 +63,16 @@ def fit_jointly(
         None if neither a starting point nor one closer to neutral could be simulated.
     """
     begun = analysis.begun.get(effects[0].name, {}) if base is None else base.fit.values()
-    at = analysis.linear if base is None else base.fit.linearised(analysis.inverse)
+    linear = analysis.linear if base is None else base.fit.linearised(analysis.inverse)
     new = [effect for effect in effects if effect.names[0] not in begun]
     nominal = analysis.nominal.values() | dict(begun)
-    starts = _starts(analysis, at, new)
+    starts = _starts(analysis, linear, new)
     few = SETTINGS.joint_fits.trial_iterations if len(starts) > 1 else SETTINGS.fit.max_iterations
     best: SolvedJointFit | None = None
     for start in starts:
         for share in SETTINGS.joint_fits.start_shares:
             there = nominal | _nearer(new, start, share)
-            values = _compensated(analysis, at, new, there)
+            values = _compensated(analysis, linear, new, there)
             fitted = _fitted_from(analysis, effects, values, analysis.nominal, each, few)
             if fitted is not None:
                 break
@@ -166,7 +165,7 @@ def _starts(
     for effect in placed:
         there = _placed(analysis, effect, screened[effect.name])
         tried = there if len(placed) == 1 else there[:1]
-        starts = [start | one for start in starts for one in tried]
+        starts = [start | place for start in starts for place in tried]
     return starts
 
 

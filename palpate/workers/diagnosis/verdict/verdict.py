@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 
 from palpate.storage.errors import InputError
-from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.verdict.hypotheses import (
     Case,
     Hypothesis,

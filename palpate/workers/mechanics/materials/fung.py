@@ -5,8 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from palpate.storage.values import FloatArray
-from palpate.workers.mechanics.materials.constants_check import require
-from palpate.workers.mechanics.materials.invariants import Shape, shape_of, stress, tangent_of_first
+from palpate.workers.mechanics.materials.elastic_law import (
+    Shape,
+    require,
+    shape_of,
+    stress,
+    tangent_of_first,
+)
 
 
 @dataclass(frozen=True, slots=True)

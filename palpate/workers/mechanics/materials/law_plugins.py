@@ -1,4 +1,4 @@
-"""Material laws as plug-ins, which files choose by name.
+"""Material laws as plug-ins, which files choose by name, and their form used for fitting.
 
 A law is given by its shear modulus at rest, mu0, and its shape constants, which describe its
 deviation from a neo-Hookean law under strain. A distribution provides a `LawPlugin` as an entry
@@ -6,27 +6,118 @@ point of the group ``palpate.laws``.
 
 In a file a shape constant is prefixed by the name of the law, ``yeoh_c2``, and in a breast
 followed by the tissue, ``yeoh_c2_fat``.
+
+A `LawFamily` has the free constants of a law, in the form used for fitting. The stress of a law is
+linear in some constants, its moduli, and nonlinear in the others, its exponents. For given
+exponents the best moduli follow from linear least squares, so only exponents need a search and
+starting values.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
-from palpate.workers.mechanics.materials import law_families
-from palpate.workers.mechanics.materials.base import Isochoric
+import numpy as np
+
+from palpate.storage.errors import InputError
+from palpate.storage.values import FloatArray
+from palpate.workers.mechanics.materials.elastic_law import Isochoric
 from palpate.workers.mechanics.materials.fung import Fung
-from palpate.workers.mechanics.materials.law_families import Family
-from palpate.workers.mechanics.materials.mooney_rivlin import MooneyRivlin
-from palpate.workers.mechanics.materials.neo_hookean import NeoHookean
 from palpate.workers.mechanics.materials.ogden import Ogden
-from palpate.workers.mechanics.materials.yeoh import Yeoh
-from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.mechanics.materials.polynomial_laws import MooneyRivlin, NeoHookean, Yeoh
+from palpate.workers.mechanics.model_parameters import NUMBER, Parameter
 from palpate.workers.plugins import load, plugins
-from palpate.workers.units import NUMBER
+
+OGDEN_EXPONENTS = (-25.0, -16.0, -8.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 8.0, 12.0, 18.0, 25.0)
+MOST_OGDEN_TERMS = 4
+FUNG_RATES = tuple((float(b),) for b in np.geomspace(1e-3, 100, 11))
+
+
+@dataclass(frozen=True, eq=False)
+class LawFamily:
+    """Family of laws of one form.
+
+    Parameters
+    ----------
+    name : str
+    build : callable
+        Makes a law from moduli in MPa and exponents. The first modulus is above zero for
+        every law, and is sufficient to build one.
+    moduli_least : tuple of float
+        Lower bound of each modulus, 0 or minus infinity.
+    starts : tuple of tuple of float
+        Starting values of the exponents; one empty tuple if there are none.
+    exponent_range : tuple of float, or of sequences of float
+        Bounds of every exponent, or of each.
+    """
+
+    name: str
+    build: Callable[[FloatArray, FloatArray], Isochoric]
+    moduli_least: tuple[float, ...]
+    starts: tuple[tuple[float, ...], ...] = ((),)
+    exponent_range: tuple[float | Sequence[float], float | Sequence[float]] = (-100.0, 100.0)
+
+    @property
+    def constants(self) -> int:
+        """Return the number of constants to fit."""
+        return len(self.moduli_least) + len(self.starts[0])
+
+
+def _mooney_rivlin_of_moduli(moduli: FloatArray, _: FloatArray) -> Isochoric:
+    half, *others = (float(m) for m in moduli)
+    return MooneyRivlin(half - others[0], *others)
+
+
+NO_BOUND = -np.inf
+NEO_HOOKEAN_FAMILY = LawFamily("neo-Hookean", lambda m, _: NeoHookean(float(m[0])), (0.0,))
+MOONEY_RIVLIN_FAMILY = LawFamily(
+    "Mooney-Rivlin, 2 constants", _mooney_rivlin_of_moduli, (0.0, NO_BOUND)
+)
+MOONEY_RIVLIN_5_FAMILY = LawFamily(
+    "Mooney-Rivlin, 5 constants", _mooney_rivlin_of_moduli, (0.0, *[NO_BOUND] * 4)
+)
+YEOH_FAMILY = LawFamily(
+    "Yeoh", lambda m, _: Yeoh(*(float(c) for c in m)), (0.0, NO_BOUND, NO_BOUND)
+)
+FUNG_FAMILY = LawFamily(
+    "Fung", lambda m, b: Fung(float(m[0]), float(b[0])), (0.0,), FUNG_RATES, (1e-6, 1e3)
+)
+
+
+def ogden_family(terms: int) -> LawFamily:
+    """Return the family of Ogden laws whose terms all add stiffness.
+
+    Terms with ``mu alpha >= 0`` keep the law stable in every deformation; without that
+    bound, fitted terms of opposite sign match the table but misbehave outside it.
+
+    Parameters
+    ----------
+    terms : int
+        1 to 4; a table of a few dozen points cannot determine more.
+
+    Raises
+    ------
+    InputError
+        If there are fewer or more.
+    """
+    if not 1 <= terms <= MOST_OGDEN_TERMS:
+        raise InputError(f"An Ogden law must have 1 to {MOST_OGDEN_TERMS} terms, got {terms}.")
+    return LawFamily(
+        f"Ogden, {terms} terms" if terms > 1 else "Ogden, 1 term",
+        lambda m, alpha: Ogden.from_convention("abaqus", _floats(m), _floats(alpha)),
+        (0.0,) * terms,
+        tuple(combinations(OGDEN_EXPONENTS, terms)),
+    )
+
+
+def _floats(values: FloatArray) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
+
 
 DEFAULT_LAW = "neo-hookean"
-ANY = (-math.inf, math.inf)
+ANY_NUMBER = (-math.inf, math.inf)
 # The energy of an Ogden term is 0/0 at the exponent 0; within this distance it is constant.
 LEAST_EXPONENT = 1e-3
 
@@ -61,7 +152,7 @@ class LawPlugin:
     label: str
     parameters: tuple[Parameter, ...]
     make: Callable[[float, Values], Isochoric]
-    family: Family | None = None
+    family: LawFamily | None = None
     shape: Callable[[Any], Values] = lambda law: {}
 
     def constants(self, tissue: str = "") -> tuple[Parameter, ...]:
@@ -128,8 +219,10 @@ def _prefix(law: str) -> str:
     return law.replace("-", "_") + "_"
 
 
-def _number(name: str, bounds: tuple[float, float], neutral: float, description: str) -> Parameter:
-    return Parameter(name, NUMBER, *bounds, neutral, description, admissible=ANY)
+def _number_parameter(
+    name: str, bounds: tuple[float, float], neutral: float, description: str
+) -> Parameter:
+    return Parameter(name, NUMBER, *bounds, neutral, description, admissible=ANY_NUMBER)
 
 
 def _exponent(alpha: float) -> float:
@@ -167,25 +260,25 @@ def _shape_of_two_terms(law: Ogden) -> Values:
 SHARE = "part of the shear modulus at rest due to the second term"
 
 NEO_HOOKEAN = LawPlugin(
-    DEFAULT_LAW, "neo-Hookean", (), lambda mu, _: NeoHookean(mu), law_families.NEO_HOOKEAN
+    DEFAULT_LAW, "neo-Hookean", (), lambda mu, _: NeoHookean(mu), NEO_HOOKEAN_FAMILY
 )
 MOONEY_RIVLIN = LawPlugin(
     "mooney-rivlin",
     "Mooney-Rivlin",
-    (_number("share2", (0.0, 1.0), 0.0, SHARE),),
+    (_number_parameter("share2", (0.0, 1.0), 0.0, SHARE),),
     _mooney_rivlin,
-    law_families.MOONEY_RIVLIN,
+    MOONEY_RIVLIN_FAMILY,
     lambda law: {"share2": 2 * law.c01_mpa / law.shear_modulus_mpa},
 )
 YEOH = LawPlugin(
     "yeoh",
     "Yeoh",
     (
-        _number("c2", (0.0, 5.0), 0.0, "c2/mu0, coefficient of the square of I1bar - 3"),
-        _number("c3", (0.0, 10.0), 0.0, "c3/mu0, coefficient of the cube of I1bar - 3"),
+        _number_parameter("c2", (0.0, 5.0), 0.0, "c2/mu0, coefficient of the square of I1bar - 3"),
+        _number_parameter("c3", (0.0, 10.0), 0.0, "c3/mu0, coefficient of the cube of I1bar - 3"),
     ),
     _yeoh,
-    law_families.YEOH,
+    YEOH_FAMILY,
     lambda law: {
         "c2": law.c2_mpa / law.shear_modulus_mpa,
         "c3": law.c3_mpa / law.shear_modulus_mpa,
@@ -206,26 +299,26 @@ FUNG = LawPlugin(
         ),
     ),
     _fung,
-    law_families.FUNG,
+    FUNG_FAMILY,
     lambda law: {"b": law.b},
 )
 OGDEN = LawPlugin(
     "ogden",
     "Ogden",
-    (_number("alpha", (2.0, 30.0), 2.0, "exponent of the stretches; 2 is neo-Hookean"),),
+    (_number_parameter("alpha", (2.0, 30.0), 2.0, "exponent of the stretches; 2 is neo-Hookean"),),
     _ogden,
-    law_families.ogden(1),
+    ogden_family(1),
     lambda law: {"alpha": law.alpha[0]},
 )
 OGDEN_2 = LawPlugin(
     "ogden-2",
     "Ogden with two terms",
     (
-        _number("alpha1", (2.0, 30.0), 2.0, "exponent of the first term"),
-        _number("alpha2", (-30.0, -2.0), -2.0, "exponent of the second term"),
-        _number("share2", (0.0, 1.0), 0.0, SHARE),
+        _number_parameter("alpha1", (2.0, 30.0), 2.0, "exponent of the first term"),
+        _number_parameter("alpha2", (-30.0, -2.0), -2.0, "exponent of the second term"),
+        _number_parameter("share2", (0.0, 1.0), 0.0, SHARE),
     ),
     _ogden_2,
-    law_families.ogden(2),
+    ogden_family(2),
     _shape_of_two_terms,
 )

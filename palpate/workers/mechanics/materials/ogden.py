@@ -31,8 +31,7 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
-from palpate.workers.mechanics.materials.constants_check import require
-from palpate.workers.mechanics.materials.invariants import Shape, shape_of
+from palpate.workers.mechanics.materials.elastic_law import Shape, require, shape_of
 
 Convention = Literal["ogden", "abaqus", "febio"]
 

@@ -14,35 +14,36 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.sparse import csr_matrix
 
-from palpate.storage.records.tasks import FreeParameter
-from palpate.storage.values import FloatArray, Tissue, Volume
-from palpate.workers.body.images.coarser_voxels import in_coarser_voxels
-from palpate.workers.body.images.largest_component import in_air
-from palpate.workers.body.mesh.hierarchy import Hierarchy
-from palpate.workers.comparison.observation.interface import (
+from palpate.storage.values import FloatArray, FreeParameter, Tissue, Volume
+from palpate.workers.body.images.segmented_body import in_air, in_coarser_voxels
+from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy
+from palpate.workers.body.mesh.nodal_interpolation import interpolation_at_points
+from palpate.workers.comparison.observation.interface_residual import (
     GLANDULAR,
     OUTLINE,
     Interface,
     InterfacePoints,
     interface_points,
+    observe,
+    residual,
 )
-from palpate.workers.comparison.observation.noise import SegmentationNoise, correlation, covariance
-from palpate.workers.comparison.observation.point_interpolation import interpolation
-from palpate.workers.comparison.observation.residual import observe, residual
-from palpate.workers.comparison.warp.warp_volume import warp_labels
-from palpate.workers.diagnosis.algebra.linearisation import factored
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.fem.elements.model import Model
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
-from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Problem
-from palpate.workers.mechanics.fem.problem.fields import frame_of
-from palpate.workers.mechanics.fem.problem.outcome import Solution
-from palpate.workers.organs.breast.effects import CATALOGUE
-from palpate.workers.organs.breast.study_noise import NUGGET_VOXELS, study_noise
+from palpate.workers.comparison.observation.segmentation_noise import (
+    SegmentationNoise,
+    correlation,
+    covariance,
+)
+from palpate.workers.comparison.warp_volume import warp_labels
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.linearisation import factored
+from palpate.workers.mechanics.effects.effect import Effect
+from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.boundary_value_problem import Change, Problem, Solution, frame_of
+from palpate.workers.mechanics.fem.discretisation import Model
+from palpate.workers.mechanics.fem.equilibrium_sensitivity import tangents
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
+from palpate.workers.organs.breast.scan_facts import NUGGET_VOXELS, study_noise
 from palpate.workers.organs.normal_equations import normal_equations
-from palpate.workers.organs.organ import Residuals, logarithmic
+from palpate.workers.organs.organ_protocol import Residuals, logarithmic
 
 # Distance of neighbouring points: a breast of 445 ml then has about 2,000.
 SPACING_MM = 4.0
@@ -55,7 +56,7 @@ FINEST_MM = 0.5
 OWN_BAND_MM = 4.0
 # Voxel error of an interface that the model has moved, in voxels: points of ten bodies of 1 mm
 # voxels scatter by 0.13 mm to 0.23 mm, by the median.
-MOVED_VOXELS = 0.14
+MOVED_INTERFACE_VOXELS = 0.14
 # Standard deviation of the position of a plane anywhere within a voxel: 1 / sqrt(12).
 PLATE_VOXELS = 0.29
 # Difference for a path-dependent effect: friction is steepest at zero and then saturates.
@@ -103,7 +104,7 @@ class BreastObservation:
 
 @dataclass(frozen=True, eq=False)
 class FittedBreast:
-    """Solution and residuals of a breast; see `workers.organs.organ.Fitted`."""
+    """Solution and residuals of a breast; see `workers.organs.organ_protocol.Fitted`."""
 
     solution: Solution
     residuals: Residuals | None
@@ -132,7 +133,7 @@ def observe_target(
     y = np.flatnonzero((loaded.values != Tissue.AIR).any(axis=(0, 2))) * loaded.spacing_mm[1]
     half = loaded.spacing_mm[1] / 2
     low, high = (float(v) + loaded.origin_mm[1] for v in (y.min() - half, y.max() + half))
-    at_points = interpolation(mesh.finest.mesh, points.points)
+    at_points = interpolation_at_points(mesh.finest.mesh, points.points)
 
     def own_image(u: FloatArray) -> FloatArray:
         image = in_air(warp_labels(body, mesh.finest.mesh, u, lattice))
@@ -160,23 +161,23 @@ def fit_interfaces(
     observation: BreastObservation,
 ) -> FittedBreast:
     """Deform a breast and differentiate its residuals; see `Organ.fit`."""
-    at = equilibrium(model, problem_of(constants))
-    if not at.solution.outcome.converged:
-        return FittedBreast(at.solution, None)
-    r, normals = _compare(observation, at)
-    r = r - observation.own_image(at.solution.displacement_mm)
+    solved = equilibrium(model, problem_of(constants))
+    if not solved.solution.outcome.converged:
+        return FittedBreast(solved.solution, None)
+    r, normals = _compare(observation, solved)
+    r = r - observation.own_image(solved.solution.displacement_mm)
     columns = np.empty((len(r), len(free)))
-    moved = observation.points.points + observation.at_points @ at.solution.displacement_mm
+    moved = observation.points.points + observation.at_points @ solved.solution.displacement_mm
     seen = [i for i, p in enumerate(free) if p["name"] in OBSERVED]
     for i in seen:
         columns[:, i] = _observed(free[i]["name"], moved, normals, observation, model)
     stepped = {i for i, p in enumerate(free) if p["name"] in STEPPED}
     smooth = [i for i in range(len(free)) if i not in stepped.union(seen)]
-    changes = [_change(at, problem_of, constants, free[i]) for i in smooth]
-    for i, nodal in zip(smooth, tangents(at, changes), strict=True):
+    changes = [_change(solved, problem_of, constants, free[i]) for i in smooth]
+    for i, nodal in zip(smooth, tangents(solved, changes), strict=True):
         columns[:, i] = ((observation.at_points @ nodal) * normals).sum(axis=1)
     for i in stepped:
-        columns[:, i] = _by_solving(model, at, problem_of, constants, free[i], observation)
+        columns[:, i] = _by_solving(model, solved, problem_of, constants, free[i], observation)
     common = PLATE_VOXELS * _plates(observation, moved, normals)
     equations = normal_equations(
         observation.whiten(r),
@@ -184,7 +185,7 @@ def fit_interfaces(
         observation.whiten(common),
         robust=observation.robust,
     )
-    return FittedBreast(at.solution, Residuals(r, equations, observation.noise))
+    return FittedBreast(solved.solution, Residuals(r, equations, observation.noise))
 
 
 def _observed(
@@ -277,10 +278,12 @@ def _whitening(
     """Return a function that whitens values at the points.
 
     The voxel error of an interface is independent between points. For images the covariance of the
-    segmentation is used, including common errors; see `workers.diagnosis.problem.noise_parts`.
+    segmentation is used, including common errors; see `workers.diagnosis.problem.scan_noise`.
     """
     if not imaged:
-        sd = float(np.hypot(MOVED_VOXELS * noise.nugget_mm / NUGGET_VOXELS, noise.nugget_mm))
+        sd = float(
+            np.hypot(MOVED_INTERFACE_VOXELS * noise.nugget_mm / NUGGET_VOXELS, noise.nugget_mm)
+        )
         return partial(np.multiply, 1 / sd)
     same = points.interface[:, None] == points.interface
     common = (SETTINGS.noise.common * noise.sd_mm) ** 2 * same
@@ -294,7 +297,8 @@ def _in_words(noise: SegmentationNoise, imaged: bool) -> str:
     plates = "and a third of a voxel of the flat faces under the plates"
     if not imaged:
         voxel = noise.nugget_mm / NUGGET_VOXELS
-        return f"{voxel * np.hypot(MOVED_VOXELS, NUGGET_VOXELS):.2g} mm at each point {plates}"
+        sd = voxel * np.hypot(MOVED_INTERFACE_VOXELS, NUGGET_VOXELS)
+        return f"{sd:.2g} mm at each point {plates}"
     return (
         f"{noise.sd_mm:.2g} mm along the normal of the target's interfaces and of those at rest, "
         f"correlated over {noise.correlation_mm:.2g} mm, {noise.nugget_mm:.2g} mm at each point "

@@ -1,15 +1,15 @@
-"""The breast as a plug-in."""
+"""The breast as a plug-in, and scans of a breast under known loads as another."""
 
-from palpate.workers.organs.plugin import Fact, OrganPlugin
+from palpate.workers.organs.organ_plugins import Fact, OrganPlugin, SourcePlugin
 
 BREAST_PLUGIN = OrganPlugin(
     name="breast",
-    spec="palpate.workers.organs.breast.organ_spec:SPEC",
-    organ="palpate.workers.organs.breast.organ:ORGAN",
-    checks="palpate.workers.organs.breast.study_checks:CHECKS",
+    spec="palpate.workers.organs.breast.breast_keys:SPEC",
+    organ="palpate.workers.organs.breast.breast_organ:ORGAN",
+    checks="palpate.workers.organs.breast.breast_study_checks:CHECKS",
     study_kind="breast study",
-    study_source="palpate.workers.organs.breast.study_source:StudySource",
-    effects="palpate.workers.organs.breast.effects:CATALOGUE",
+    study_source="palpate.workers.organs.breast.breast_study_source:StudySource",
+    effects="palpate.workers.organs.breast.breast_effects:CATALOGUE",
     load_direction="The plates press along y.",
     facts=(
         Fact("Volume of the body", "volume_ml", "ml"),
@@ -23,4 +23,15 @@ BREAST_PLUGIN = OrganPlugin(
         "breast": "palpate.service.templates:breast.yaml",
         "breast-images": "palpate.service.templates:breast-images.yaml",
     },
+)
+
+
+SCANS_PLUGIN = SourcePlugin(
+    kinds={
+        "scanned case": "palpate.workers.organs.breast.scanned_case_source:ScannedCaseSource",
+        "planned case": "palpate.workers.organs.breast.scanned_case_source:PlannedCaseSource",
+    },
+    reader="palpate.workers.organs.breast.scanned_case_files:READER",
+    file="diagnosis",
+    keys="palpate.workers.organs.breast.scanned_case_keys:CaseFile",
 )

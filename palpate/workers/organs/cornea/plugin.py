@@ -1,16 +1,16 @@
 """The cornea as a plug-in."""
 
-from palpate.workers.organs.plugin import Fact, OrganPlugin
+from palpate.workers.organs.organ_plugins import Fact, OrganPlugin
 
 CORNEA_PLUGIN = OrganPlugin(
     name="cornea",
-    spec="palpate.workers.organs.cornea.organ_spec:SPEC",
-    organ="palpate.workers.organs.cornea.organ:ORGAN",
-    checks="palpate.workers.organs.cornea.study_checks:CHECKS",
-    findings="palpate.workers.organs.cornea.findings.study",
+    spec="palpate.workers.organs.cornea.cornea_keys:SPEC",
+    organ="palpate.workers.organs.cornea.cornea_organ:ORGAN",
+    checks="palpate.workers.organs.cornea.cornea_checks:CHECKS",
+    findings="palpate.workers.organs.cornea.cornea_findings",
     study_kind="cornea study",
-    study_source="palpate.workers.organs.cornea.diagnosis.study_source:CorneaStudySource",
-    effects="palpate.workers.organs.cornea.effects:CATALOGUE",
+    study_source="palpate.workers.organs.cornea.cornea_study_source:CorneaStudySource",
+    effects="palpate.workers.organs.cornea.cornea_effects:CATALOGUE",
     load_direction="The air jet presses against y, into the eye.",
     facts=(
         Fact("Chord of the cornea", "chord_mm", "mm"),

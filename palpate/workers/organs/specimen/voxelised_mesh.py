@@ -9,10 +9,9 @@ from scipy import ndimage
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, IntArray, Volume
-from palpate.workers.compile_flags import CONTRACTED
-from palpate.workers.organs.specimen.keys.bodies import BodySpec
-from palpate.workers.organs.specimen.readings.mesh_file import MeshFile, read_mesh_file
-from palpate.workers.organs.specimen.spec import SpecimenSpec
+from palpate.workers.kernels_and_threads import CONTRACTED
+from palpate.workers.organs.specimen.mesh_file import MeshFile, read_mesh_file
+from palpate.workers.organs.specimen.specimen_keys import BodySpec, SpecimenSpec
 
 # Cell data with the groups of Gmsh, the default of label_array.
 PHYSICAL = "gmsh:physical"
@@ -132,10 +131,10 @@ def _tissues(spec: SpecimenSpec, mesh: MeshFile, path: Path) -> NDArray[np.uint8
     unknown = sorted(set(own.tolist()) - set(body.labels))
     if unknown:
         raise InputError(f"{path} has the labels {unknown}, which are missing in body.labels.")
-    found = np.zeros(len(own), np.uint8)
+    tissues = np.zeros(len(own), np.uint8)
     for label, material in body.labels.items():
-        found[own == label] = int(spec.tissue_of(material))
-    return found
+        tissues[own == label] = int(spec.tissue_of(material))
+    return tissues
 
 
 def _labels(mesh: MeshFile, body: BodySpec, path: Path) -> IntArray:

@@ -5,9 +5,14 @@ import re
 import numpy as np
 import pytest
 
-from palpate.service.report.diagnosis.arrows import Misfits, arrow_pictures, enlarged, misfits_of
-from palpate.storage.stores.arrays import Arrays
-from palpate.workers.diagnosis.problem.force_readings import FORCE
+from palpate.service.report.diagnosis.specimen_pictures import (
+    Misfits,
+    arrow_magnification,
+    arrow_pictures,
+    misfits_of,
+)
+from palpate.storage.stored_arrays import Arrays
+from palpate.workers.diagnosis.problem.inverse_problem import FORCE
 
 POINTS = np.array([[x, y, z] for x in (0.0, 4.0) for y in (0.0, 8.0) for z in (0.0, 20.0, 40.0)])
 
@@ -44,7 +49,7 @@ def test_ignores_load_cells() -> None:
 )
 def test_enlarges_arrows_but_not_noise(longest: float, noise: float, times: float) -> None:
     misfits = Misfits(POINTS, left(1, (0.0, longest, 0.0)), None)
-    assert enlarged(misfits, noise) == pytest.approx(times)
+    assert arrow_magnification(misfits, noise) == pytest.approx(times)
 
 
 def test_arrow_ends_at_predicted_point() -> None:

@@ -11,8 +11,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from palpate.service.diagnosis.words import sentence
-from palpate.service.report.diagnosis.charts import (
+from palpate.service.diagnosis.diagnosis_words import sentence
+from palpate.service.report.diagnosis.diagnosis_charts import (
     Cause,
     Evidence,
     Judged,
@@ -20,13 +20,12 @@ from palpate.service.report.diagnosis.charts import (
     gaps,
     probabilities,
 )
-from palpate.service.report.diagnosis.made import Origin
-from palpate.service.report.diagnosis.maps import range_mm, residual_map
-from palpate.service.report.diagnosis.page import render
-from palpate.service.report.drawing.colour_scale import SIGNED, ColourScale
+from palpate.service.report.diagnosis.diagnosis_page import render_diagnosis
+from palpate.service.report.diagnosis.gap_maps import gap_range_mm, residual_map
+from palpate.service.report.drawing.colours import SIGNED, ColourScale
 from palpate.service.report.drawing.svg import Svg
-from palpate.service.report.study.provenance import Made
-from palpate.workers.organs.breast.effects import CATALOGUE
+from palpate.service.report.study.page_provenance import Made, Origin
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
 from tests.service.report.diagnosis_at_hand import VERDICTS, found, gap, nothing, summary, typed
 from tests.service.report.pages import Page
 
@@ -37,7 +36,7 @@ def sentence_of(told: dict[str, Any]) -> str:
 
 @pytest.fixture(scope="module")
 def source() -> str:
-    return render(found())
+    return render_diagnosis(found())
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +46,7 @@ def page(source: str) -> Page:
 
 @pytest.mark.parametrize("told", VERDICTS.values(), ids=VERDICTS)
 def test_page_is_well_formed_and_self_contained(told: dict[str, Any]) -> None:
-    source = render(found(told))
+    source = render_diagnosis(found(told))
     page = Page(source)
     page.needs_no_other_file()
     begin = page.text.index('{ "case": "by-hand"')
@@ -58,14 +57,13 @@ def test_page_is_well_formed_and_self_contained(told: dict[str, Any]) -> None:
 
 
 def test_page_is_reproducible(source: str) -> None:
-    assert render(found()) == source
+    assert render_diagnosis(found()) == source
 
 
 def test_the_page_is_written_without_matplotlib() -> None:
     """Importing it would take as long as writing the page."""
-    asked = (
-        "import sys, palpate.service.report.diagnosis.files; sys.exit('matplotlib' in sys.modules)"
-    )
+    page = "palpate.service.report.diagnosis.diagnosis_page"
+    asked = f"import sys, {page}; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", asked], check=False).returncode == 0
 
 
@@ -133,7 +131,7 @@ def test_reports_wrong_or_uneven_noise() -> None:
 def test_wrong_noise_is_warning_outside_headline() -> None:
     noise = {"interface": "outline", "stated_mm": 0.2, "learnt_mm": 0.3}
     even = {"least_mm": 0.3, "most_mm": 0.3}
-    shown = render(found(summary(noise=[noise | even])))
+    shown = render_diagnosis(found(summary(noise=[noise | even])))
     (warned,) = re.findall(r'<p class="note warn">([^<]*)</p>', shown)
     assert warned.startswith("The noise of the outline interface is set too small")
     assert shown.count("set too small") == 1
@@ -196,7 +194,7 @@ def test_absorbed_effects_are_last_and_grey(source: str, page: Page) -> None:
 
 def test_constants_are_shown_without_and_with_the_effect(page: Page) -> None:
     assert page.row("Efat") == ["Efat", "10", "11", "10.7 … 11.3", "+10.0 %", "kPa", "yes"]
-    alone = Page(render(found(VERDICTS["no gap"])))
+    alone = Page(render_diagnosis(found(VERDICTS["no gap"])))
     assert alone.row("Efat") == ["Efat", "10", "–", "9.8 … 10.2", "–", "kPa", "yes"]
 
 
@@ -222,11 +220,11 @@ def test_counts_points_left_out(page: Page) -> None:
     assert "left out" not in page.text
     record = summary() | {"left_out": 9}
     note = f"Of {record['points'] + 9} points, 9 were left out, because at least one scan does not"
-    assert note in Page(render(found(record))).text
+    assert note in Page(render_diagnosis(found(record))).text
 
 
 def test_the_set_of_several_causes_names_their_family() -> None:
-    text = Page(render(found(VERDICTS["not told apart"]))).text
+    text = Page(render_diagnosis(found(VERDICTS["not told apart"]))).text
     assert "Plate tilt, plate flex and no gap account for 90 % of the probability." in text
     assert "The most probable family is plate geometry (> 99 %)." in text
 
@@ -234,12 +232,14 @@ def test_the_set_of_several_causes_names_their_family() -> None:
 def test_omits_improbable_family() -> None:
     told = VERDICTS["not told apart"]
     faint = dict.fromkeys(told["families"], 0.06)
-    assert "most probable family" not in Page(render(found(told | {"families": faint}))).text
+    assert (
+        "most probable family" not in Page(render_diagnosis(found(told | {"families": faint}))).text
+    )
 
 
 def test_headline_lengths_agree_with_tiles() -> None:
     """Headline and tiles are rounded alike."""
-    told = Page(render(found()))
+    told = Page(render_diagnosis(found()))
     lengths = re.findall(r"(?:differ by|of) (\d\.\d\d) mm", sentence_of(summary()))
     assert lengths == ["0.27", "0.31"]
     tiles = told.source[told.source.index('class="tiles"') : told.source.index('class="contents"')]
@@ -275,7 +275,7 @@ def test_headline_lengths_agree_with_tiles() -> None:
 def test_each_verdict_says_what_to_quote_and_what_to_do_next(
     which: str, quote: str, following: str
 ) -> None:
-    text = Page(render(found(VERDICTS[which]))).text
+    text = Page(render_diagnosis(found(VERDICTS[which]))).text
     assert f"What to quote {quote}" in text
     assert f"Next {following}" in text or following in text[text.index("Next ") :][:120]
 
@@ -289,7 +289,7 @@ def test_page_shows_provenance() -> None:
         "about 5000 nodes",
         "standard deviation 0.4 mm",
     )
-    text = Page(render(found(), Origin(made))).text
+    text = Page(render_diagnosis(found(), Origin(made))).text
     for said in (
         "22 November 2026, 10:05 UTC",
         "case by-hand, 0123abcd",
@@ -304,17 +304,23 @@ def test_page_shows_provenance() -> None:
 
 def test_doubtful_results_give_warnings() -> None:
     refits = [summary()["refits"][0] | {"converged": False}]
-    assert "The refit of plate flex did not converge" in render(found(summary(refits=refits)))
+    assert "The refit of plate flex did not converge" in render_diagnosis(
+        found(summary(refits=refits))
+    )
     gap = summary()["gap_mm"]
     gap["held_out_share"] = {"share": 0.3, "low": -0.2, "high": 0.6}
-    assert "treat this cause as a lead" in render(found(summary(gap_mm=gap)))
+    assert "treat this cause as a lead" in render_diagnosis(found(summary(gap_mm=gap)))
     gap = summary()["gap_mm"] | {"not_judged": ["80 N"]}
-    assert "The gap of 80 N with the effect is not checked" in render(found(summary(gap_mm=gap)))
-    assert "note warn" not in render(found())
+    assert "The gap of 80 N with the effect is not checked" in render_diagnosis(
+        found(summary(gap_mm=gap))
+    )
+    assert "note warn" not in render_diagnosis(found())
 
 
 def test_draws_a_map_for_each_scan_and_interface() -> None:
-    labels = [drawing.get("aria-label", "") for drawing in Page(render(found())).drawings()]
+    labels = [
+        drawing.get("aria-label", "") for drawing in Page(render_diagnosis(found())).drawings()
+    ]
     captions = [label for label in labels if "scan at" in label]
     assert [caption.split(":")[0] for caption in captions] == [
         "Outline, scan at 40 N",
@@ -414,10 +420,10 @@ def first_place(data: str) -> tuple[float, float]:
 
 def test_colour_scale_covers_significant_residuals() -> None:
     noise = np.full(100, 0.2)
-    assert range_mm(np.full(100, 0.3), noise) == 0.5  # nothing stands out
-    assert range_mm(np.append(np.full(99, 0.3), 3.0), noise) == 3.0
+    assert gap_range_mm(np.full(100, 0.3), noise) == 0.5  # nothing stands out
+    assert gap_range_mm(np.append(np.full(99, 0.3), 3.0), noise) == 3.0
 
 
 def test_no_evidence_chart_without_refits() -> None:
-    assert "Evidence of the refits" not in render(found(nothing("no-gap")))
-    assert "Evidence of the refits" in render(found())
+    assert "Evidence of the refits" not in render_diagnosis(found(nothing("no-gap")))
+    assert "Evidence of the refits" in render_diagnosis(found())

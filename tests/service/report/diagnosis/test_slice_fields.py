@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.service.report.diagnosis.slice_fields import slice_fields
+from palpate.service.report.diagnosis.diagnosis_viewers import slice_fields
 from palpate.storage.values import Volume
 from tests.service.report.diagnosis_bodies_at_hand import (
     HALF_AXES_MM,

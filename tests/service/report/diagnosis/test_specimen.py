@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palpate.service.report.diagnosis.specimen import movements, specimen_pictures
-from palpate.storage.stores.arrays import Arrays
-from palpate.workers.diagnosis.schema.experiment_summary import MarkerResidual, MarkerState
-from palpate.workers.diagnosis.schema.summary import Summary
+from palpate.service.report.diagnosis.specimen_pictures import movements, specimen_pictures
+from palpate.storage.stored_arrays import Arrays
+from palpate.workers.diagnosis.outcome.diagnosis_summary import MarkerResidual, MarkerState, Summary
 from tests.service.report.diagnosis_at_hand import found as finished
 
 NAN = float("nan")

@@ -7,36 +7,35 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from palpate.service.diagnosis.run import FinishedDiagnosis
-from palpate.service.report.diagnosis import tables as tables
-from palpate.service.report.diagnosis import where as where
-from palpate.service.report.diagnosis.maps import FAINT
-from palpate.service.report.diagnosis.page import render
-from palpate.service.report.diagnosis.slices import (
-    CAUSES,
+from palpate.service.diagnosis.diagnosis_run import FinishedDiagnosis
+from palpate.service.report.diagnosis import diagnosis_tables as tables
+from palpate.service.report.diagnosis import gap_pictures as where
+from palpate.service.report.diagnosis.diagnosis_page import render_diagnosis
+from palpate.service.report.diagnosis.gap_maps import (
+    FAINT_COLOUR,
+    SIDES,
+    UNKNOWN_COLOUR,
+    Solid,
+    seen_from_all_sides,
+    surface_map,
+    triangle_colours,
+    view_basis,
+)
+from palpate.service.report.diagnosis.gap_pictures import (
+    CAUSE_COLOURS,
     GLAND_IN_BOTH,
     IN_BOTH,
-    OVERLAY,
+    OVERLAY_COLOURS,
     QUIET_LABEL,
     TOO_LITTLE,
     TOO_MUCH,
-    compared,
+    overlay_labels,
     overlays,
     score_colours,
     score_labels,
 )
-from palpate.service.report.diagnosis.surfaces import (
-    SIDES,
-    UNKNOWN,
-    Solid,
-    basis,
-    colours_of,
-    seen_from_all_sides,
-    surface_map,
-)
-from palpate.service.report.drawing.colour_scale import SIGNED, ColourScale
-from palpate.service.report.drawing.palette import BLUE, VERMILION, to_rgba
-from palpate.service.report.drawing.slices import VIEWS, Section, section
+from palpate.service.report.drawing.colours import BLUE, SIGNED, VERMILION, ColourScale, to_rgba
+from palpate.service.report.drawing.volume_sections import VIEWS, Section, section
 from palpate.storage.values import Volume
 from tests.service.report.diagnosis_at_hand import found as without_bodies
 from tests.service.report.diagnosis_at_hand import summary
@@ -51,7 +50,7 @@ def whole() -> FinishedDiagnosis:
 
 @pytest.fixture(scope="module")
 def source(whole: FinishedDiagnosis) -> str:
-    return render(whole)
+    return render_diagnosis(whole)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def test_page_with_bodies_is_self_contained_and_small(source: str, page: Page) -
     page.needs_no_other_file()
     assert page.drawings()
     assert len(source) < 3e6
-    assert render(found()) == source
+    assert render_diagnosis(found()) == source
 
 
 def test_every_scan_has_map_and_sections(page: Page) -> None:
@@ -73,7 +72,9 @@ def test_every_scan_has_map_and_sections(page: Page) -> None:
 
 
 def test_without_a_named_effect_there_is_one_column_and_no_arrow() -> None:
-    alone = Page(render(found(named=False, verdict="none-of-these", set90=["none-of-these"])))
+    alone = Page(
+        render_diagnosis(found(named=False, verdict="none-of-these", set90=["none-of-these"]))
+    )
     assert "with plate tilt" not in alone.text
     cells = [row for row in alone.cells if row and row[0] == "40 N along x"]
     assert cells
@@ -82,9 +83,9 @@ def test_without_a_named_effect_there_is_one_column_and_no_arrow() -> None:
 
 def test_both_sides_together_show_the_plates_along_x_and_along_y() -> None:
     for face in np.concatenate([np.eye(3)[:2], -np.eye(3)[:2]]):
-        assert max(face @ basis(way)[2] for _, way in SIDES) > 0.4
+        assert max(face @ view_basis(way)[2] for _, way in SIDES) > 0.4
     for _, way in SIDES:
-        across, up, near = basis(way)
+        across, up, near = view_basis(way)
         np.testing.assert_allclose(np.cross(across, up), near, atol=1e-12)
         assert up[2] > 0.7  # the nipple points upwards
         assert near[2] > 0.4  # and towards the viewer
@@ -102,12 +103,12 @@ def test_a_triangle_has_the_colour_of_its_nearest_point() -> None:
     values, spread = np.array([-1.0, 0.15]), np.array([0.1, 0.1])
     one = Solid("outline", vertices, triangles, points)
     scale = ColourScale(SIGNED, 2.0)
-    colours = colours_of(one, values, spread, scale)
+    colours = triangle_colours(one, values, spread, scale)
     np.testing.assert_allclose(colours[0], scale.at(np.array(-1.0)))
-    np.testing.assert_allclose(colours[1], to_rgba(FAINT)[:3])
+    np.testing.assert_allclose(colours[1], to_rgba(FAINT_COLOUR)[:3])
     far = Solid("outline", vertices + 50.0, triangles, points)
-    for colour in colours_of(far, values, spread, scale):
-        np.testing.assert_allclose(colour, to_rgba(UNKNOWN)[:3])
+    for colour in triangle_colours(far, values, spread, scale):
+        np.testing.assert_allclose(colour, to_rgba(UNKNOWN_COLOUR)[:3])
 
 
 def test_nearer_triangles_hide_farther_ones() -> None:
@@ -170,23 +171,23 @@ def test_sections_are_compared_voxel_by_voxel() -> None:
     """
     seen = Section(np.array([[0, 1, 2, 1, 0]], np.uint8), (1.0, 1.0), (0.0, 0.0))
     model = Section(np.array([[0, 0, 1, 2, 1]], np.uint8), (1.0, 1.0), (0.0, 0.0))
-    labels = compared(seen, model).values[0].tolist()
+    labels = overlay_labels(seen, model).values[0].tolist()
     assert labels == [0, TOO_LITTLE, TOO_LITTLE, TOO_MUCH, TOO_MUCH]
-    same = compared(seen, seen).values[0].tolist()
+    same = overlay_labels(seen, seen).values[0].tolist()
     assert same == [0, IN_BOTH, GLAND_IN_BOTH, IN_BOTH, 0]
 
 
 def test_excess_is_vermilion_and_missing_tissue_is_blue() -> None:
-    assert OVERLAY[0, 3] == 0
-    assert OVERLAY[TOO_MUCH].tolist() == [*bytes.fromhex(VERMILION[1:]), 255]
-    assert OVERLAY[TOO_LITTLE].tolist() == [*bytes.fromhex(BLUE[1:]), 255]
+    assert OVERLAY_COLOURS[0, 3] == 0
+    assert OVERLAY_COLOURS[TOO_MUCH].tolist() == [*bytes.fromhex(VERMILION[1:]), 255]
+    assert OVERLAY_COLOURS[TOO_LITTLE].tolist() == [*bytes.fromhex(BLUE[1:]), 255]
 
 
 def test_excess_length_is_marked_at_ends() -> None:
     """Along x the model is 6 mm longer at each end, along y and z it fits."""
     seen, model = egg(np.array([18.0, 16.0, 14.0])), egg(np.array([24.0, 16.0, 14.0]))
     for view in VIEWS:
-        shown = compared(section(seen, view, 0.0), section(model, view, 0.0))
+        shown = overlay_labels(section(seen, view, 0.0), section(model, view, 0.0))
         if view.name == "transverse":
             assert TOO_MUCH not in shown.values
             continue
@@ -214,7 +215,7 @@ def test_sections_align_with_axes() -> None:
 def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: FinishedDiagnosis) -> None:
     frame = whole.maps["cause_frame"]
     scores = Volume(whole.maps["cause_before"], tuple(frame[0]), tuple(frame[1]))
-    colours = ColourScale(CAUSES, 6.2)
+    colours = ColourScale(CAUSE_COLOURS, 6.2)
     coronal = section(score_labels(scores, colours), VIEWS[0], LUMP_MM[2])
     pixels = score_colours(colours)[coronal.values].astype(int)
     left, right, bottom, top = coronal.extent_mm
@@ -231,12 +232,12 @@ def test_the_map_of_causes_is_drawn_where_the_lump_is(whole: FinishedDiagnosis) 
 def test_cause_map_uses_the_whole_colour_scale() -> None:
     """From the softest to the stiffest: both ends of the scale have their colours."""
     scores = np.array([np.nan, -4.0, -1.9, 0.0, 1.9, 4.0], np.float32).reshape(1, 1, 6)
-    colours = ColourScale(CAUSES, 4.0)
+    colours = ColourScale(CAUSE_COLOURS, 4.0)
     labels = score_labels(Volume(scores, (1.0, 1.0, 1.0)), colours).values.ravel()
     assert (labels[2:5] == QUIET_LABEL).all()
     shown = score_colours(colours)[labels].astype(int)
     assert shown[0, 3] == 0
-    for pixel, stop in zip(shown[[1, 5]], (CAUSES[0], CAUSES[-1]), strict=True):
+    for pixel, stop in zip(shown[[1, 5]], (CAUSE_COLOURS[0], CAUSE_COLOURS[-1]), strict=True):
         np.testing.assert_allclose(pixel, [*bytes.fromhex(stop[1:]), 255], atol=2)
 
 
@@ -257,7 +258,7 @@ def test_overlap_is_shown_before_and_after_with_its_attainable_value(
 ) -> None:
     told_rows = whole.summary.overlap
     assert told_rows is not None
-    rows = tables.overlap(told_rows)
+    rows = tables.overlap_table(told_rows)
     assert [(r.scan, r.interface) for r in rows] == [
         ("40 N", "outline"),
         ("40 N", "glandular"),
@@ -273,6 +274,6 @@ def test_overlap_is_shown_before_and_after_with_its_attainable_value(
 
 def test_shows_known_percentiles_of_regions() -> None:
     regions = [r | {"p50_mm": 0.2, "p95_mm": 0.714} for r in summary()["where"]]
-    page = Page(render(without_bodies(summary(where=regions))))
+    page = Page(render_diagnosis(without_bodies(summary(where=regions))))
     row = next(r for r in page.cells if r[:3] == ["80 N", "glandular", "nipple third"])
     assert row[5:7] == ["0.20", "0.71"]

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from palpate.service.report.drawing.canvas import figure, svg
+from palpate.service.report.drawing.matplotlib_figures import figure, svg
 
 
 def drawn(width: float) -> str:

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from palpate.service.report.drawing.colour_scale import SIGNED, ColourScale, colour_bar
+from palpate.service.report.drawing.colours import SIGNED, ColourScale, colour_bar
 from palpate.service.report.drawing.svg import Svg
 
 GREYS = ColourScale(("#000000", "#808080", "#ffffff"), 2.0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from palpate.service.report.drawing.contours import contours, path_of
+from palpate.service.report.drawing.svg import contours, path_of
 
 
 def mask(*lines: str) -> np.ndarray:

@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from palpate.service.report.drawing.canvas import svg
-from palpate.service.report.drawing.corner import BINS, SHARES, CornerVariable, _levels, corner_plot
+from palpate.service.report.drawing.matplotlib_figures import (
+    BINS,
+    SHARES,
+    CornerVariable,
+    _levels,
+    corner_plot,
+    svg,
+)
 
 
 def variables() -> list[CornerVariable]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.service.report.drawing.packed import (
+from palpate.service.report.page.page_elements import (
     TYPES,
     body_box_mm,
     packed,
@@ -17,9 +17,9 @@ from palpate.service.report.drawing.packed import (
     script,
     thinned,
 )
-from palpate.service.report.viewers.body import BodyScan, BodySurface, body_viewer
+from palpate.service.report.page.page_viewers import BodyScan, BodySurface, body_viewer
 from palpate.storage.values import FloatArray, Volume
-from palpate.workers.mechanics.pressed import Pressed
+from palpate.workers.mechanics.fem.loads_and_regions import Pressed
 
 
 def unpacked(told: dict[str, Any]) -> np.ndarray:

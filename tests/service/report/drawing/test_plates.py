@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.service.report.drawing.plates import plates_touching
-from palpate.service.report.drawing.slices import VIEWS
+from palpate.service.report.drawing.volume_sections import VIEWS, plates_touching
 from palpate.storage.values import Volume
 
 FRAME = (-10.0, 10.0, -8.0, 8.0)

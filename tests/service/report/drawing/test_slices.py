@@ -1,11 +1,13 @@
 """Sections of volumes small enough to draw."""
 
+from enum import IntEnum
+
 import numpy as np
 import pytest
 
-from palpate.service.report.drawing import palette
-from palpate.service.report.drawing.palette import DIFFERENCES, TISSUES, Difference
-from palpate.service.report.drawing.slices import (
+from palpate.service.report.drawing import colours
+from palpate.service.report.drawing.colours import DIFFERENCE_PALETTE, TISSUE_PALETTE, Difference
+from palpate.service.report.drawing.volume_sections import (
     VIEWS,
     Section,
     difference,
@@ -42,7 +44,7 @@ def one_voxel() -> Volume:
     ],
 )
 def test_voxel_position_agrees_with_coordinates(
-    view: palette.IntEnum,
+    view: IntEnum,
     at_mm: float,
     shape: tuple[int, int],
     row: int,
@@ -119,14 +121,14 @@ def _lightness(colour: str) -> float:
 
 
 def test_colours_that_lie_side_by_side_differ_in_lightness() -> None:
-    only = [DIFFERENCES[Difference.ONLY_TARGET], DIFFERENCES[Difference.ONLY_BEST]]
+    only = [DIFFERENCE_PALETTE[Difference.ONLY_TARGET], DIFFERENCE_PALETTE[Difference.ONLY_BEST]]
     assert abs(_lightness(only[0]) - _lightness(only[1])) > 20
-    gland = _lightness(TISSUES[Tissue.GLANDULAR])
+    gland = _lightness(TISSUE_PALETTE[Tissue.GLANDULAR])
     for other in (Tissue.AIR, Tissue.FAT, Tissue.LIGAMENT):
-        assert abs(_lightness(TISSUES[other]) - gland) > 20
+        assert abs(_lightness(TISSUE_PALETTE[other]) - gland) > 20
 
 
 def test_an_unknown_label_is_drawn_in_black() -> None:
-    table = palette.lookup(TISSUES)
+    table = colours.colour_table(TISSUE_PALETTE)
     assert table[200].tolist() == [0, 0, 0, 255]
     assert table[Tissue.AIR].tolist() == [255, 255, 255, 0]

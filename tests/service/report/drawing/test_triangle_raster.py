@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from palpate.service.report.drawing.triangle_raster import NONE, front_triangles
+from palpate.service.report.drawing.raster import NO_TRIANGLE, front_triangles
 
 
 def test_triangle_covers_pixels_with_centres_inside() -> None:
@@ -15,7 +15,7 @@ def test_triangle_covers_pixels_with_centres_inside() -> None:
     """
     corners = np.array([[[0.0, 0.0], [4.1, 0.0], [0.0, 4.1]]])
     seen = front_triangles(corners, np.zeros(1), 5, 5)
-    expected = np.full((5, 5), NONE)
+    expected = np.full((5, 5), NO_TRIANGLE)
     for row in range(4):
         expected[row, : 4 - row] = 0
     np.testing.assert_array_equal(seen, expected)
@@ -27,7 +27,7 @@ def test_nearest_triangle_is_visible_in_any_order() -> None:
     rows, columns = 17, 23
     corners = rng.uniform(-4, 28, (40, 3, 2))
     nearness = rng.normal(size=40)
-    expected = np.full((rows, columns), NONE)
+    expected = np.full((rows, columns), NO_TRIANGLE)
     up, across = (a + 0.5 for a in np.mgrid[:rows, :columns])
     for number in np.argsort(nearness):
         expected[inside(corners[number], across, up)] = number
@@ -52,5 +52,5 @@ def test_a_surface_has_no_cracks() -> None:
 
 def test_triangles_without_an_area_and_pictures_without_triangles_are_empty() -> None:
     flat = np.array([[[0.0, 1.0], [3.0, 1.0], [2.0, 1.0]]])
-    assert (front_triangles(flat, np.zeros(1), 3, 3) == NONE).all()
-    assert (front_triangles(np.zeros((0, 3, 2)), np.zeros(0), 2, 3) == NONE).all()
+    assert (front_triangles(flat, np.zeros(1), 3, 3) == NO_TRIANGLE).all()
+    assert (front_triangles(np.zeros((0, 3, 2)), np.zeros(0), 2, 3) == NO_TRIANGLE).all()

@@ -7,9 +7,9 @@ from xml.etree import ElementTree
 import pytest
 
 from palpate.service.report.drawing.svg import Scale, Svg, scale_between, tick_text
-from palpate.service.report.study import charts as study_charts
-from palpate.service.report.study.charts import EvaluationPoint, SearchedParameter
-from palpate.service.report.study.pictures import best_tenth
+from palpate.service.report.study import study_charts
+from palpate.service.report.study.study_charts import EvaluationPoint, SearchedParameter
+from palpate.service.report.study.study_pictures import best_tenth
 
 FOUND = SearchedParameter("E", "E, kPa", 10.0, 20.0, 12.5, 17.5, (12.0, 14.0))
 
@@ -33,7 +33,9 @@ def places(path: ElementTree.Element) -> list[tuple[float, float]]:
 
 
 def test_dots_have_evaluation_numbers() -> None:
-    drawing = parsed(study_charts.convergence(points(), [-math.inf, -2.0], [math.nan, -0.75], 900))
+    drawing = parsed(
+        study_charts.convergence_chart(points(), [-math.inf, -2.0], [math.nan, -0.75], 900)
+    )
     (dots,) = [e for e in classed(drawing, "dots") if e.get("data-i")]
     assert dots.get("data-i") == "0 3 4"  # neither the failure nor the identical one
     (first, second, third) = places(dots)
@@ -44,7 +46,9 @@ def test_dots_have_evaluation_numbers() -> None:
 
 
 def test_infinite_scores_leave_the_axis_finite() -> None:
-    drawing = parsed(study_charts.convergence(points(), [-math.inf, -2.0], [math.nan, -0.75], 900))
+    drawing = parsed(
+        study_charts.convergence_chart(points(), [-math.inf, -2.0], [math.nan, -0.75], 900)
+    )
     assert "identical to the target (−∞)" in "".join(drawing.itertext())
     assert len(classed(drawing, "identical")) == 2  # in the legend and in the chart
     assert len(classed(drawing, "failed")) == 2
@@ -54,14 +58,14 @@ def test_infinite_scores_leave_the_axis_finite() -> None:
 
 def test_a_search_with_nothing_but_failures_can_be_drawn() -> None:
     failed = [EvaluationPoint(0, {"E": 11.0}, math.inf)] * 3
-    drawing = parsed(study_charts.convergence(failed, [math.inf], [math.nan], 900))
+    drawing = parsed(study_charts.convergence_chart(failed, [math.inf], [math.nan], 900))
     assert len(classed(drawing, "failed")) == 1 + 3
     assert not [e for e in classed(drawing, "best") if "M" in e.get("d", "")][1:]
 
 
 @pytest.mark.parametrize("width", [900.0, 400.0])
 def test_marks_are_at_their_values(width: float) -> None:
-    drawing = parsed(study_charts.ranges([FOUND], {"E": [15.0]}, width))
+    drawing = parsed(study_charts.range_chart([FOUND], {"E": [15.0]}, width))
     (track,) = classed(drawing, "track")
     left, right = map(float, re.findall(r"M([\d.]+) [\d.]+H([\d.]+)", track.get("d", ""))[0])
     scale = Scale(10.0, 20.0, left, right)
@@ -79,9 +83,9 @@ def test_marks_are_at_their_values(width: float) -> None:
 def test_nothing_is_drawn_outside_chart(width: float) -> None:
     """Marks and text start inside; the width of text is estimated from its letters."""
     for svg in (
-        study_charts.convergence(points(), [-1.0, -2.0], [0.0, -0.75], width),
-        study_charts.ranges([FOUND], {"E": [15.0]}, width),
-        study_charts.stages({"solve": 9.0, "score": 1.0}, width),
+        study_charts.convergence_chart(points(), [-1.0, -2.0], [0.0, -0.75], width),
+        study_charts.range_chart([FOUND], {"E": [15.0]}, width),
+        study_charts.stage_chart({"solve": 9.0, "score": 1.0}, width),
     ):
         for text in parsed(svg).iter("text"):
             x, half = float(text.get("x", 0)), 3.2 * len(text.text or "")
@@ -94,7 +98,7 @@ def test_nothing_is_drawn_outside_chart(width: float) -> None:
 
 
 def test_scatter_is_reproducible_and_names_dots() -> None:
-    first, second = (study_charts.scatter(FOUND, points(), 2).markup("E") for _ in range(2))
+    first, second = (study_charts.scatter_chart(FOUND, points(), 2).markup("E") for _ in range(2))
     assert first == second
     drawing = ElementTree.fromstring(str(first))
     told = sorted(n for e in classed(drawing, "dots") for n in e.get("data-i", "").split())
@@ -137,7 +141,7 @@ def test_a_scatter_over_decades_has_both_axes_logarithmic() -> None:
     wide = SearchedParameter("E", "E, kPa", 1.0, 1000.0, 10.0, None)
     scores = [100.0, 1.0, 0.01]
     evaluated = [EvaluationPoint(0, {"E": 10.0**k}, s) for k, s in enumerate(scores)]
-    drawing = parsed(study_charts.scatter(wide, evaluated, 1))
+    drawing = parsed(study_charts.scatter_chart(wide, evaluated, 1))
     (dots,) = [e for e in classed(drawing, "dots") if e.get("data-i")]
     (x0, y0), (x1, y1), (x2, y2) = places(dots)
     assert x1 - x0 == pytest.approx(x2 - x1, abs=0.2)

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from palpate.service.report.study.page import render
+from palpate.service.report.study.study_page import render_study
 from palpate.service.results.identification import (
     Identification,
     IdentifiedConstant,
@@ -31,7 +31,7 @@ def known(e_fat: str = "value", eta_fat: str = "weak", **changed: Any) -> Identi
 
 
 def page(identification: Identification | None, **changed: Any) -> Page:
-    return Page(render(study_data(results=results(identification=identification, **changed))))
+    return Page(render_study(study_data(results=results(identification=identification, **changed))))
 
 
 def test_quotes_only_well_determined_constants() -> None:

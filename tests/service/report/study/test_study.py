@@ -8,14 +8,14 @@ from typing import Any
 
 import pytest
 
-from palpate.service.cluster.dispatch import Dispatcher, Ending
-from palpate.service.report.study.page import write_report
-from palpate.service.results.as_json import study_json
-from palpate.service.results.read import study_results
+from palpate.service.cluster.task_dispatch import Dispatcher, Ending
+from palpate.service.report.study.study_page import write_report
+from palpate.service.results.results_as_json import study_json
+from palpate.service.results.results_from_journal import study_results
 from palpate.service.study.loop import Conclusion, Study
-from palpate.service.study.spec import parse_spec
+from palpate.service.study.study_keys import parse_spec
 from palpate.storage.errors import InputError
-from palpate.storage.stores.store import open_store
+from palpate.storage.store import open_store
 from tests.recovery.stand_ins import rewrite
 from tests.service.report.pages import Page
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydicom.uid import generate_uid
 
 from palpate.storage.errors import InputError
-from palpate.workers.body.images.read import read_volume
+from palpate.workers.body.images.image_formats import read_volume_file
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ class TestSeries:
         )
         (tmp_path / "readme.txt").write_text("a series")
         (tmp_path / "DICOMDIR").write_bytes(b"an index")
-        volume = read_volume(tmp_path)
+        volume = read_volume_file(tmp_path)
         np.testing.assert_array_equal(volume.values, slices)
         assert volume.spacing_mm == (0.25, 0.5, 1.5)  # columns step along x, rows along y
         assert volume.origin_mm == (10.0, 20.0, -30.0)
@@ -46,7 +46,7 @@ class TestSeries:
 
         many = np.tile(slices, (12, 1, 1))
         write_series(tmp_path, many, change=rounded)
-        volume = read_volume(tmp_path)
+        volume = read_volume_file(tmp_path)
         np.testing.assert_array_equal(volume.values, many)
         assert volume.spacing_mm[2] == pytest.approx(0.273, abs=1e-4)
 
@@ -58,7 +58,7 @@ class TestSeries:
 
         write_series(tmp_path, slices, change=shifted)
         expected = 2 * slices.astype(int) - 1024
-        np.testing.assert_array_equal(read_volume(tmp_path).values, expected)
+        np.testing.assert_array_equal(read_volume_file(tmp_path).values, expected)
 
     def test_refuses_missing_slice(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
@@ -66,7 +66,7 @@ class TestSeries:
         paths = write_series(tmp_path, slices, step=(0, 0, 1.5))
         paths[3].unlink()
         with pytest.raises(InputError, match=r"slices 3 and 4 .* 3 mm apart, expected 1\.5 mm"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     def test_refuses_uneven_gaps(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
@@ -76,7 +76,7 @@ class TestSeries:
 
         write_series(tmp_path, slices, change=stretched)
         with pytest.raises(InputError, match=r"slices 5 and 6 .* 1\.3 mm apart, expected 1 mm"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     def test_refuses_slice_out_of_place(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
@@ -86,7 +86,7 @@ class TestSeries:
 
         write_series(tmp_path, slices, change=moved)  # the mean gap is still 1 mm
         with pytest.raises(InputError, match=r"uneven gaps.*expected 1 mm"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     def test_refuses_slices_off_the_line(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
@@ -96,7 +96,7 @@ class TestSeries:
 
         write_series(tmp_path, slices, change=shifted)
         with pytest.raises(InputError, match=r"not on one line \(2 mm off\)"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     def test_refuses_two_time_points(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
@@ -106,7 +106,7 @@ class TestSeries:
 
         write_series(tmp_path, slices[:6], change=twice)
         with pytest.raises(InputError, match="several slices at one position"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     def test_refuses_two_series(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
@@ -119,7 +119,7 @@ class TestSeries:
 
         write_series(tmp_path, slices, change=half)
         with pytest.raises(InputError, match=r"2 series .*5 slices.*2 slices"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     @pytest.mark.parametrize("name", ["ImagePositionPatient", "ImageOrientationPatient"])
     def test_refuses_missing_geometry(
@@ -127,7 +127,7 @@ class TestSeries:
     ) -> None:
         write_series(tmp_path, slices, change=lambda _, image: image.__delattr__(name))
         with pytest.raises(InputError, match=r"no ImagePosition|image orientation \[\]"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     def test_refuses_one_rotated_slice(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
@@ -138,7 +138,7 @@ class TestSeries:
 
         write_series(tmp_path, slices, change=turned)
         with pytest.raises(InputError, match=r"differs from .* in orientation"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     def test_refuses_slices_with_two_spacings(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
@@ -149,14 +149,14 @@ class TestSeries:
 
         write_series(tmp_path, slices, change=coarser)
         with pytest.raises(InputError, match="different PixelSpacing"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     def test_refuses_single_slice(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
     ) -> None:
         paths = write_series(tmp_path, slices)
         with pytest.raises(InputError, match=r"2-D image\. Give the folder"):
-            read_volume(paths[0])
+            read_volume_file(paths[0])
 
     @pytest.mark.parametrize("cut", [20, 100])
     def test_truncated_slice_is_named(
@@ -165,7 +165,7 @@ class TestSeries:
         path = write_series(tmp_path, slices)[6]
         path.write_bytes(path.read_bytes()[:-cut])
         with pytest.raises(InputError, match=rf"{path.name}.*cut short"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     def test_names_file_that_is_not_dicom(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
@@ -173,12 +173,12 @@ class TestSeries:
         path = write_series(tmp_path, slices)[6]  # an end slice: its loss would leave no gap
         path.write_bytes(b"\0" * 300)
         with pytest.raises(InputError, match=rf"{path.name} is not a DICOM file"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     def test_refuses_folder_without_images(self, tmp_path: Path) -> None:
         (tmp_path / "readme.txt").write_text("nothing here")
         with pytest.raises(InputError, match="no DICOM image"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
 
 class TestSegmentation:
@@ -200,7 +200,7 @@ class TestSegmentation:
         in_folder: bool,
     ) -> None:
         path = write_segmentation(tmp_path / "seg.dcm", frames, gap_mm=gap_mm)
-        volume = read_volume(tmp_path if in_folder else path)
+        volume = read_volume_file(tmp_path if in_folder else path)
         expected = np.zeros((5, 3, 5), int)
         expected[[0, 1, 3], 0, :2] = 1
         expected[[3, 4], 2, 3:] = 2
@@ -212,25 +212,25 @@ class TestSegmentation:
         labels = np.random.default_rng(4).integers(0, 4, (4, 3, 5)).astype(np.uint8)
         frames = [(1, float(z), page) for z, page in enumerate(labels)]
         path = write_segmentation(tmp_path / "a.dcm", frames, kind="LABELMAP")
-        np.testing.assert_array_equal(read_volume(path).values, labels)
+        np.testing.assert_array_equal(read_volume_file(path).values, labels)
 
     def test_refuses_overlapping_segments(
         self, tmp_path: Path, frames: Any, write_segmentation: Any
     ) -> None:
         frames.append((2, 2.0, frames[0][2]))
         with pytest.raises(InputError, match=r"overlap \(slice 2\)"):
-            read_volume(write_segmentation(tmp_path / "seg.dcm", frames))
+            read_volume_file(write_segmentation(tmp_path / "seg.dcm", frames))
 
     def test_refuses_contradictory_slice_distance(
         self, tmp_path: Path, frames: Any, write_segmentation: Any
     ) -> None:
         with pytest.raises(InputError, match=r"expected 1\.5 mm"):
-            read_volume(write_segmentation(tmp_path / "seg.dcm", frames, gap_mm=1.5))
+            read_volume_file(write_segmentation(tmp_path / "seg.dcm", frames, gap_mm=1.5))
 
     def test_refuses_fractions(self, tmp_path: Path, frames: Any, write_segmentation: Any) -> None:
         path = write_segmentation(tmp_path / "seg.dcm", frames, kind="FRACTIONAL")
         with pytest.raises(InputError, match="type FRACTIONAL; only segmentations"):
-            read_volume(path)
+            read_volume_file(path)
 
     def test_refuses_other_multi_frame_images(
         self, tmp_path: Path, slices: NDArray[np.uint16], write_series: Any
@@ -241,7 +241,7 @@ class TestSegmentation:
 
         path = write_series(tmp_path, slices[:1], change=many)[0]
         with pytest.raises(InputError, match="multi-frame DICOM file of type CT"):
-            read_volume(path)
+            read_volume_file(path)
 
     def test_refuses_segmentation_mixed_with_slices(
         self,
@@ -254,4 +254,4 @@ class TestSegmentation:
         write_series(tmp_path, slices)
         write_segmentation(tmp_path / "seg.dcm", frames)
         with pytest.raises(InputError, match="mixes a multi-frame file with 7 other images"):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.images.labels import (
+from palpate.workers.body.images.tissue_labels import (
     crop_to_body,
     default_map,
     label_counts,

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Volume
-from palpate.workers.body.images.orient import parse_axes, to_volume
-from palpate.workers.body.images.read import read_volume
-from palpate.workers.body.images.scan import Scan
+from palpate.workers.body.images.image_formats import read_volume_file
+from palpate.workers.body.images.scan_orientation import Scan, parse_axes, to_volume
 
 Array = NDArray[np.float64]
 SPACING = np.array([0.5, 1.25, 2.0])
@@ -66,7 +65,7 @@ class TestWorldCoordinatesSurvive:
             affine = np.eye(4)
             affine[:3, :3], affine[:3, 3] = turn * SPACING, ORIGIN
             nib.save(nib.Nifti1Image(numbered, affine), tmp_path / "a.nii")
-            volume = read_volume(tmp_path / "a.nii")
+            volume = read_volume_file(tmp_path / "a.nii")
             expected = stated_places(numbered, RAS @ (turn * SPACING), RAS @ ORIGIN)
             np.testing.assert_allclose(places(volume), expected, atol=1e-6)
             assert volume.values.flags.c_contiguous
@@ -82,7 +81,7 @@ class TestWorldCoordinatesSurvive:
             image.set_qform(affine, code=1)
             nib.save(image, tmp_path / "a.nii.gz")
             expected = stated_places(numbered, RAS @ (turn * SPACING), RAS @ ORIGIN)
-            centres = places(read_volume(tmp_path / "a.nii.gz"))
+            centres = places(read_volume_file(tmp_path / "a.nii.gz"))
             np.testing.assert_allclose(centres, expected, atol=1e-5)
 
     @pytest.mark.parametrize(
@@ -102,7 +101,7 @@ class TestWorldCoordinatesSurvive:
             steps = turn * SPACING
             header = {"space": space, "space directions": steps.T, "space origin": ORIGIN}
             nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
-            centres = places(read_volume(tmp_path / "a.nrrd"))
+            centres = places(read_volume_file(tmp_path / "a.nrrd"))
             expected = stated_places(numbered, to_lps @ steps, to_lps @ ORIGIN)
             np.testing.assert_allclose(centres, expected, atol=1e-12)
 
@@ -120,13 +119,13 @@ class TestWorldCoordinatesSurvive:
                 step=tuple(steps[:, 2]),
                 origin=tuple(ORIGIN),
             )
-            centres = places(read_volume(tmp_path / str(number)))
+            centres = places(read_volume_file(tmp_path / str(number)))
             np.testing.assert_allclose(centres, stated_places(numbered, steps, ORIGIN), atol=1e-6)
 
     def test_values_are_indexed_z_y_x(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
         header = {"space": "LPS", "space directions": np.diag(SPACING), "space origin": ORIGIN}
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
-        volume = read_volume(tmp_path / "a.nrrd")
+        volume = read_volume_file(tmp_path / "a.nrrd")
         assert volume.shape_xyz == (4, 5, 6)
         assert volume.values[5, 4, 3] == numbered[3, 4, 5]
         assert volume.spacing_mm == (0.5, 1.25, 2.0)
@@ -137,7 +136,7 @@ class TestAxes:
     def test_axes_rotate_the_frame(self, tmp_path: Path, numbered: NDArray[np.uint16]) -> None:
         header = {"space": "LPS", "space directions": np.diag(SPACING), "space origin": ORIGIN}
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
-        volume = read_volume(tmp_path / "a.nrrd", axes="-z,y,x")
+        volume = read_volume_file(tmp_path / "a.nrrd", axes="-z,y,x")
         world = stated_places(numbered, np.diag(SPACING), ORIGIN)
         house = np.column_stack([-world[:, 2], world[:, 1], world[:, 0]])
         np.testing.assert_allclose(places(volume), house, atol=1e-12)
@@ -146,7 +145,7 @@ class TestAxes:
 
     def test_given_spacing_refers_to_the_file(self, tmp_path: Path) -> None:
         np.save(tmp_path / "a.npy", np.zeros((6, 5, 4), np.uint8))
-        volume = read_volume(tmp_path / "a.npy", spacing_mm=(1.0, 2.0, 3.0), axes="y,z,x")
+        volume = read_volume_file(tmp_path / "a.npy", spacing_mm=(1.0, 2.0, 3.0), axes="y,z,x")
         assert volume.spacing_mm == (2.0, 3.0, 1.0)
         assert volume.shape_xyz == (5, 6, 4)
 
@@ -175,7 +174,7 @@ class TestAxes:
 
     def test_axes_are_checked_before_the_file_is_read(self, tmp_path: Path) -> None:
         with pytest.raises(InputError, match="mirror"):
-            read_volume(tmp_path / "missing.nrrd", axes="-x,y,z")
+            read_volume_file(tmp_path / "missing.nrrd", axes="-x,y,z")
 
 
 class TestOblique:
@@ -186,14 +185,14 @@ class TestOblique:
         header = {"space": "LPS", "space directions": steps.T, "space origin": ORIGIN}
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
         with pytest.raises(InputError, match=r"10\.0, 10\.0, 0\.0 degrees.*Resample"):
-            read_volume(tmp_path / "a.nrrd")
+            read_volume_file(tmp_path / "a.nrrd")
 
     def test_refuses_sheared_dicom_series(
         self, tmp_path: Path, numbered: NDArray[np.uint16], write_series: Any
     ) -> None:
         write_series(tmp_path / "gantry", numbered, step=(0.0, 0.5, 1.0))
         with pytest.raises(InputError, match=r"0\.0, 0\.0, 26\.6 degrees"):
-            read_volume(tmp_path / "gantry")
+            read_volume_file(tmp_path / "gantry")
 
     def test_slight_tilt_is_rotated_about_the_centre(self, numbered: NDArray[np.uint16]) -> None:
         turn = rotation(0.5, axis=0) @ np.diag([-1.0, 1.0, -1.0])
@@ -218,7 +217,7 @@ class TestSpacing:
         header = {"space": "LPS", "space directions": np.diag(SPACING), "space origin": ORIGIN}
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
         with pytest.raises(InputError, match=r"0\.5 1\.25 2 mm.*1 1 1 mm"):
-            read_volume(tmp_path / "a.nrrd", spacing_mm=(1.0, 1.0, 1.0))
+            read_volume_file(tmp_path / "a.nrrd", spacing_mm=(1.0, 1.0, 1.0))
 
     def test_spacings_are_compared_in_world_order(
         self, tmp_path: Path, numbered: NDArray[np.uint16]
@@ -230,14 +229,14 @@ class TestSpacing:
             "space origin": ORIGIN,
         }
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
-        volume = read_volume(tmp_path / "a.nrrd", spacing_mm=(2.0, 0.5, 1.25))
+        volume = read_volume_file(tmp_path / "a.nrrd", spacing_mm=(2.0, 0.5, 1.25))
         assert volume.spacing_mm == (2.0, 0.5, 1.25)
 
     @pytest.mark.parametrize("bad", [(0.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (np.nan, 1.0, 1.0), (1.0,)])
     def test_refuses_invalid_spacing(self, tmp_path: Path, bad: tuple[float, ...]) -> None:
         np.save(tmp_path / "a.npy", np.zeros((3, 3, 3), np.uint8))
         with pytest.raises(InputError, match="three positive numbers"):
-            read_volume(tmp_path / "a.npy", spacing_mm=bad)  # type: ignore[arg-type]
+            read_volume_file(tmp_path / "a.npy", spacing_mm=bad)  # type: ignore[arg-type]
 
     @pytest.mark.parametrize("qform", [True, False])
     @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
@@ -254,8 +253,8 @@ class TestSpacing:
         raw[76 + 8 : 76 + 12] = np.float32(bad).tobytes()  # pixdim[2] (nifti1.h)
         path.write_bytes(raw)
         with pytest.raises(InputError, match=r"0\.5 \? 2 mm.*--spacing-mm"):
-            read_volume(path)
-        volume = read_volume(path, spacing_mm=(0.5, 3.0, 2.0))
+            read_volume_file(path)
+        volume = read_volume_file(path, spacing_mm=(0.5, 3.0, 2.0))
         assert volume.spacing_mm == (0.5, 3.0, 2.0)
         is_in_ras = volume.values[0, -1, -1] == numbered[0, 0, 0]
         assert is_in_ras == qform  # without a form there is no orientation to convert
@@ -269,7 +268,7 @@ class TestSpacing:
         raw[300:304] = np.float32(0.0).tobytes()  # srow_y[1] (nifti1.h: srow_y at 296)
         path.write_bytes(raw)
         with pytest.raises(InputError, match="--spacing-mm"):
-            read_volume(path)
+            read_volume_file(path)
 
     @pytest.mark.parametrize("spacings", [None, "0 1 1", "-1 1 1", "nan 1 1"])
     def test_nrrd_header_without_usable_spacing_requires_the_option(
@@ -278,8 +277,8 @@ class TestSpacing:
         header = {} if spacings is None else {"spacings": np.array(spacings.split(), float)}
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
         with pytest.raises(InputError, match="--spacing-mm"):
-            read_volume(tmp_path / "a.nrrd")
-        volume = read_volume(tmp_path / "a.nrrd", spacing_mm=(3.0, 1.0, 1.0))
+            read_volume_file(tmp_path / "a.nrrd")
+        volume = read_volume_file(tmp_path / "a.nrrd", spacing_mm=(3.0, 1.0, 1.0))
         assert volume.spacing_mm == (3.0, 1.0, 1.0)
 
     def test_nrrd_zero_direction_requires_the_option(
@@ -292,8 +291,8 @@ class TestSpacing:
         }
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
         with pytest.raises(InputError, match="--spacing-mm"):
-            read_volume(tmp_path / "a.nrrd")
-        volume = read_volume(tmp_path / "a.nrrd", spacing_mm=(1.0, 2.0, 1.0))
+            read_volume_file(tmp_path / "a.nrrd")
+        volume = read_volume_file(tmp_path / "a.nrrd", spacing_mm=(1.0, 2.0, 1.0))
         assert volume.origin_mm == tuple(ORIGIN)
 
     def test_dicom_without_pixel_spacing_requires_the_option(
@@ -304,11 +303,11 @@ class TestSpacing:
 
         write_series(tmp_path / "s", numbered, step=(0, 0, 2.5), change=drop)
         with pytest.raises(InputError, match=r"\? \? 2\.5 mm.*--spacing-mm"):
-            read_volume(tmp_path / "s")
-        volume = read_volume(tmp_path / "s", spacing_mm=(0.3, 0.4, 2.5))
+            read_volume_file(tmp_path / "s")
+        volume = read_volume_file(tmp_path / "s", spacing_mm=(0.3, 0.4, 2.5))
         assert volume.spacing_mm == pytest.approx((0.3, 0.4, 2.5))
         with pytest.raises(InputError, match=r"\? \? 2\.5 mm, but"):
-            read_volume(tmp_path / "s", spacing_mm=(0.3, 0.4, 2.0))
+            read_volume_file(tmp_path / "s", spacing_mm=(0.3, 0.4, 2.0))
 
     @pytest.mark.parametrize(("unit", "mm"), [("mm", 1.0), ("micron", 1e-3), ("meter", 1e3)])
     def test_converts_nifti_units(
@@ -319,7 +318,7 @@ class TestSpacing:
         image = nib.Nifti1Image(numbered, affine)
         image.header.set_xyzt_units(unit)
         nib.save(image, tmp_path / "a.nii")
-        volume = read_volume(tmp_path / "a.nii")
+        volume = read_volume_file(tmp_path / "a.nii")
         assert volume.spacing_mm == pytest.approx(tuple(SPACING))
         np.testing.assert_allclose(places(volume)[0], RAS @ ORIGIN, rtol=1e-6)
 
@@ -331,6 +330,6 @@ class TestSpacing:
             "space units": ["cm", "cm", "cm"],
         }
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
-        volume = read_volume(tmp_path / "a.nrrd")
+        volume = read_volume_file(tmp_path / "a.nrrd")
         assert volume.spacing_mm == pytest.approx(tuple(SPACING))
         assert volume.origin_mm == pytest.approx(tuple(ORIGIN))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.images.labels import crop_to_body, relabel, summarise
-from palpate.workers.body.images.read import read_volume
+from palpate.workers.body.images.image_formats import read_volume_file
+from palpate.workers.body.images.tissue_labels import crop_to_body, relabel, summarise
 
 FOLDER = Path(__file__).parents[5] / "shared" / "data" / "breast_bct_niftysim"
 NAMES = {0: "air", 1: "fat", 2: "glandular", 3: "skin"}
@@ -16,7 +16,7 @@ NAMES = {0: "air", 1: "fat", 2: "glandular", 3: "skin"}
 def read(name: str) -> Volume:
     if not (FOLDER / name).exists():
         pytest.skip(f"real breast data are not available: {FOLDER / name}")
-    return relabel(read_volume(FOLDER / name), NAMES)
+    return relabel(read_volume_file(FOLDER / name), NAMES)
 
 
 @pytest.mark.slow

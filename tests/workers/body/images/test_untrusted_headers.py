@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydicom.uid import DeflatedExplicitVRLittleEndian
 
 from palpate.storage.errors import InputError
-from palpate.workers.body.images.read import read_volume
+from palpate.workers.body.images.image_formats import read_volume_file
 from palpate.workers.input_files import confined_to
 
 UNIT = (1.0, 1.0, 1.0)
@@ -52,26 +52,26 @@ def test_nrrd_never_opens_a_second_file(foreign: Path, spelling: bytes, end: byt
     header = HEADER + spelling.replace(b"NAME", os.fsencode(foreign)) + b"\n\n"
     path.write_bytes(header.replace(b"\n", end))
     with pytest.raises(InputError, match=r"another file|not an NRRD field|cut short"):
-        read_volume(path)
+        read_volume_file(path)
 
 
 def test_detached_header_opens_its_data(foreign: Path) -> None:
     path = foreign.parent / "scan.nhdr"
     path.write_bytes(HEADER + b"data file: foreign.raw\n")
-    np.testing.assert_array_equal(read_volume(path).values, FOREIGN)
+    np.testing.assert_array_equal(read_volume_file(path).values, FOREIGN)
     with (
         confined_to(foreign.parent / "upload"),
         pytest.raises(InputError, match="outside the uploaded folder"),
     ):
-        read_volume(path)
+        read_volume_file(path)
 
 
 def test_confined_header_opens_data_only_in_its_folder(foreign: Path) -> None:
     path = foreign.parent / "upload" / "scan.nhdr"
     path.write_bytes(HEADER + b"data file: ../foreign.raw\n")
-    np.testing.assert_array_equal(read_volume(path).values, FOREIGN)
+    np.testing.assert_array_equal(read_volume_file(path).values, FOREIGN)
     with confined_to(path.parent), pytest.raises(InputError, match="outside the uploaded"):
-        read_volume(path)
+        read_volume_file(path)
 
 
 OME = (
@@ -94,7 +94,7 @@ def test_tiff_never_opens_a_second_file(foreign: Path, name: str) -> None:
     text = OME.format(name=name.format(other))
     tifffile.imwrite(path, blank, description=text, metadata=None, photometric="minisblack")
     with pytest.raises(InputError):
-        read_volume(path, spacing_mm=UNIT)
+        read_volume_file(path, spacing_mm=UNIT)
 
 
 def test_other_kinds_of_tiff_open_no_index_file(
@@ -112,7 +112,7 @@ def test_other_kinds_of_tiff_open_no_index_file(
     tifffile.imwrite(path, FOREIGN, extratags=metadata, metadata=None, photometric="minisblack")
     (path.parent / "NDTiff.index").write_bytes(b"\x01")
     monkeypatch.setattr("builtins.open", noted)
-    np.testing.assert_array_equal(read_volume(path, spacing_mm=UNIT).values, FOREIGN)
+    np.testing.assert_array_equal(read_volume_file(path, spacing_mm=UNIT).values, FOREIGN)
     assert not [name for name in opened if name.endswith("NDTiff.index")]
 
 
@@ -184,7 +184,7 @@ def test_refuses_headers_that_claim_too_much(
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"a\.n"):
-        read_volume(path)
+        read_volume_file(path)
     assert peak_mib() < 64
 
 
@@ -194,7 +194,7 @@ def test_tiff_strip_larger_than_its_page_is_refused(
     path = tmp_path / "a.tif"
     values = np.random.default_rng(1).integers(0, 3, (4, 90, 80)).astype(np.uint8)
     tifffile.imwrite(path, values, compression="zlib", photometric="minisblack", rowsperstrip=90)
-    np.testing.assert_array_equal(read_volume(path, spacing_mm=UNIT).values, values)
+    np.testing.assert_array_equal(read_volume_file(path, spacing_mm=UNIT).values, values)
     stream = zlib.compressobj()
     bomb = b"".join(stream.compress(bytes(2**20)) for _ in range(96)) + stream.flush()
     with tifffile.TiffFile(path, mode="r+") as tiff:
@@ -204,7 +204,7 @@ def test_tiff_strip_larger_than_its_page_is_refused(
     with path.open("ab") as file:
         file.write(bomb)
     with pytest.raises(InputError, match="has more pixels than its page"):
-        read_volume(path, spacing_mm=UNIT)
+        read_volume_file(path, spacing_mm=UNIT)
     assert peak_mib() < 64
 
 
@@ -217,7 +217,7 @@ class TestDicom:
         path = write_segmentation(tmp_path / "a.dcm", [(1, z, frame) for z in places])
         before = peak_mib()
         with pytest.raises(InputError, match=r"742 x 1000 x 1000 voxels"):
-            read_volume(path)
+            read_volume_file(path)
         assert peak_mib() <= before
 
     def test_refuses_deflated_file(self, tmp_path: Path, write_series: Any) -> None:
@@ -228,7 +228,7 @@ class TestDicom:
             path.write_bytes(content)
         assert DeflatedExplicitVRLittleEndian == "1.2.840.10008.1.2.1.99"
         with pytest.raises(InputError):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
     @pytest.mark.parametrize(
         ("name", "value"),
@@ -242,7 +242,7 @@ class TestDicom:
 
         write_series(tmp_path, np.ones((3, 5, 4), np.uint16), change=change)
         with pytest.raises(InputError, match=str(tmp_path)):
-            read_volume(tmp_path)
+            read_volume_file(tmp_path)
 
 
 @pytest.mark.parametrize("suffix", [".nrrd", ".nii", ".nii.gz", ".npy", ".tif", ".dcm"])
@@ -252,7 +252,7 @@ def test_pipes_and_devices_are_refused(tmp_path: Path, suffix: str) -> None:
     device.symlink_to("/dev/zero")
     for path in (pipe, device):
         with pytest.raises(InputError, match="a pipe or a device"):
-            read_volume(path, spacing_mm=UNIT)
+            read_volume_file(path, spacing_mm=UNIT)
 
 
 def test_headers_of_other_programs_are_read(tmp_path: Path) -> None:
@@ -268,4 +268,4 @@ def test_headers_of_other_programs_are_read(tmp_path: Path) -> None:
         path = tmp_path / f"{encoding}.nrrd"
         nrrd.write(str(path), labels, header | {"encoding": encoding})
         path.write_bytes(path.read_bytes().replace(b"Druse", "Drüse".encode(), 1))
-        np.testing.assert_array_equal(read_volume(path).values, FOREIGN)
+        np.testing.assert_array_equal(read_volume_file(path).values, FOREIGN)

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.mesh.hierarchy import Hierarchy, build_hierarchy
+from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy, build_hierarchy
 
 Inside = Callable[
     [NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]

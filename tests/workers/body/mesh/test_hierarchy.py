@@ -5,16 +5,17 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.mesh.boundary import (
+from palpate.workers.body.mesh.body_outline import distance_at, outline_of, skin_thickness_mm
+from palpate.workers.body.mesh.mesh_geometry import (
     boundary_triangles,
+    measures,
     nodal_areas_mm2,
     split_boundary,
+    summarise,
     triangle_areas_mm2,
+    volumes_mm3,
 )
-from palpate.workers.body.mesh.hierarchy import build_hierarchy, from_arrays, to_arrays
-from palpate.workers.body.mesh.outline import distance_at, outline_of
-from palpate.workers.body.mesh.quality import measures, summarise, volumes_mm3
-from palpate.workers.body.mesh.skin_thickness import skin_thickness_mm
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy, from_arrays, to_arrays
 
 
 def assert_sound(level, wall_z_mm=0.0):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import TetMesh
-from palpate.workers.body.mesh.prolongation import FARTHEST, prolongation
+from palpate.workers.body.mesh.nodal_interpolation import FARTHEST, prolongation
 
 NONE = np.empty(0, np.int32)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import TetMesh
-from palpate.workers.body.mesh.quality import measures, summarise, volumes_mm3
+from palpate.workers.body.mesh.mesh_geometry import measures, summarise, volumes_mm3
 
 REGULAR = np.array([(1, 1, 1), (-1, 1, -1), (1, -1, -1), (-1, -1, 1)], float)
 CORNER = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.mesh.hierarchy import build_hierarchy
-from palpate.workers.body.mesh.quality import summarise, volumes_mm3
-from palpate.workers.body.mesh.skin_thickness import skin_thickness_mm
+from palpate.workers.body.mesh.body_outline import skin_thickness_mm
+from palpate.workers.body.mesh.mesh_geometry import summarise, volumes_mm3
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
 
 FILE = (
     Path(__file__).parents[5] / "shared/data/breast_bct_niftysim/UncompressedBreast3_resampled.nrrd"

@@ -5,8 +5,8 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import TetMesh, Tissue, Volume
-from palpate.workers.body.mesh.hierarchy import build_hierarchy
-from palpate.workers.body.mesh.quality import volumes_mm3
+from palpate.workers.body.mesh.mesh_geometry import volumes_mm3
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
 from palpate.workers.body.mesh.tissue_fractions import majority_fractions, volume_fractions
 
 AIR, FAT, GLAND, LIGAMENT = Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR, Tissue.LIGAMENT

@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue
-from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
-from palpate.workers.body.phantom.glandular import choose_compartments, gland_weight
-from palpate.workers.body.phantom.voxel_classification import FIRST_ID
+from palpate.workers.body.phantom.compartments import FIRST_ID
+from palpate.workers.body.phantom.phantom_generation import (
+    choose_compartments,
+    generate_breast,
+    gland_weight,
+)
+from palpate.workers.body.phantom.phantom_settings import BreastPhantom
 
 
 @pytest.fixture(scope="module")

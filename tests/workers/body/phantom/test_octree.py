@@ -5,15 +5,16 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.stats import multivariate_normal
 
-from palpate.workers.body.phantom.breast import BreastPhantom
-from palpate.workers.body.phantom.compartments import draw_compartments, layer_frames
-from palpate.workers.body.phantom.octree import partition, shape_vector
-from palpate.workers.body.phantom.voxel_classification import (
+from palpate.workers.body.phantom.compartments import (
     FIRST_ID,
     LIGAMENT_ID,
     SKIN_ID,
+    draw_compartments,
     fill_voxels,
+    layer_frames,
 )
+from palpate.workers.body.phantom.octree import partition, shape_vector
+from palpate.workers.body.phantom.phantom_settings import BreastPhantom
 
 UNPACK = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.body.phantom.breast import BreastPhantom, generate_breast
+from palpate.workers.body.phantom.phantom_generation import generate_breast
+from palpate.workers.body.phantom.phantom_settings import BreastPhantom
 
 
 def test_default_is_the_445_ml_body():

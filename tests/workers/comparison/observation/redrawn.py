@@ -11,10 +11,13 @@ from scipy import ndimage
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, Tissue, Volume
-from palpate.workers.comparison.observation.interface import GLANDULAR, OUTLINE
+from palpate.workers.comparison.observation.interface_residual import (
+    GLANDULAR,
+    OUTLINE,
+    signed_distance,
+)
 from palpate.workers.comparison.observation.isosurface import SMOOTH_VOXELS
-from palpate.workers.comparison.observation.noise import SegmentationNoise
-from palpate.workers.comparison.observation.signed_distance import signed_distance
+from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise
 
 
 def perturbed(

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 from scipy.interpolate import RBFInterpolator
 
-from palpate.workers.body.images.read import read_volume
-from palpate.workers.comparison.observation.interface import GLANDULAR, OUTLINE, interface_points
-from palpate.workers.comparison.observation.residual import observe, residual
+from palpate.workers.body.images.image_formats import read_volume_file
+from palpate.workers.comparison.observation.interface_residual import (
+    GLANDULAR,
+    OUTLINE,
+    interface_points,
+    observe,
+    residual,
+)
 
 CASES = Path(__file__).parents[5] / "shared" / "reference" / "gap-open"
 BOTH = (OUTLINE, GLANDULAR)
@@ -18,7 +23,7 @@ pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="the cases are not av
 
 @pytest.fixture(scope="module")
 def reference():
-    return read_volume(CASES / "dev_0fb9b9" / "reference.nrrd")
+    return read_volume_file(CASES / "dev_0fb9b9" / "reference.nrrd")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +44,7 @@ def test_true_displacement_leaves_only_segmentation_noise(points):
     truth = np.load(CASES / "dev_0fb9b9" / "truth.npz")
     field = RBFInterpolator(truth["nodes"], truth["u40"], neighbors=40, kernel="thin_plate_spline")
     outline = points.of(np.flatnonzero(points.interface == 0))
-    deformed = read_volume(CASES / "dev_0fb9b9" / "deformed_40N.nrrd")
+    deformed = read_volume_file(CASES / "dev_0fb9b9" / "deformed_40N.nrrd")
     still, _ = residual(outline.points, outline, observe(deformed, (OUTLINE,)))
     r, _ = residual(outline.points + field(outline.points), outline, observe(deformed, (OUTLINE,)))
     # Each of the two scans has errors of 0.3 mm (see its case); the body was compressed by 30 mm.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from palpate.workers.comparison.observation.gaussian_blur import PIECE, blurred, half_kernel
+from palpate.workers.comparison.observation.isosurface import PIECE, blurred, half_kernel
 
 
 @pytest.mark.parametrize("sigma", [(1.5, 1.5, 1.5), (0.4, 3.0, 1.1), (6.0, 0.7, 8.0)])

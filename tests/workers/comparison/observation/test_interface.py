@@ -8,7 +8,11 @@ from scipy.spatial import KDTree
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.comparison.observation.interface import GLANDULAR, OUTLINE, interface_points
+from palpate.workers.comparison.observation.interface_residual import (
+    GLANDULAR,
+    OUTLINE,
+    interface_points,
+)
 from tests.workers.comparison.observation.ellipsoids import area, breast, normals, offsets
 
 BOTH = (OUTLINE, GLANDULAR)

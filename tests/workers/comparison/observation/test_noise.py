@@ -6,10 +6,19 @@ from scipy.spatial.distance import cdist
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.comparison.observation.interface import GLANDULAR, OUTLINE, interface_points
-from palpate.workers.comparison.observation.noise import SegmentationNoise, correlation, covariance
-from palpate.workers.comparison.observation.noise_estimation import from_repeat
-from palpate.workers.comparison.observation.residual import observe, residual
+from palpate.workers.comparison.observation.interface_residual import (
+    GLANDULAR,
+    OUTLINE,
+    interface_points,
+    observe,
+    residual,
+)
+from palpate.workers.comparison.observation.segmentation_noise import (
+    SegmentationNoise,
+    correlation,
+    covariance,
+    noise_from_repeat,
+)
 from tests.workers.comparison.observation.ellipsoids import breast
 from tests.workers.comparison.observation.redrawn import perturbed
 
@@ -58,7 +67,7 @@ def test_replicates_have_the_covariance_of_the_model(points, replicates):
 
 def test_noise_is_estimated_from_two_segmentations(labels):
     noise = [
-        from_repeat(
+        noise_from_repeat(
             perturbed(labels, NOISE, 100 + n), perturbed(labels, NOISE, 200 + n), wall_margin_mm=2.0
         )
         for n in range(4)
@@ -71,7 +80,7 @@ def test_noise_is_estimated_from_two_segmentations(labels):
 
 def test_a_different_correlation_length_is_estimated(labels):
     noise = SegmentationNoise(0.2, 2.5, 0.2, 0.02)
-    computed = from_repeat(
+    computed = noise_from_repeat(
         perturbed(labels, noise, 1), perturbed(labels, noise, 2), wall_margin_mm=2.0
     )
     assert computed.sd_mm == pytest.approx(0.2, rel=0.15)
@@ -80,7 +89,7 @@ def test_a_different_correlation_length_is_estimated(labels):
 
 def test_common_offset_is_not_noise(labels):
     larger = breast(outer=(22.5, 17.5, 14.5), glands=(((11.5, 9.5, 7.5), (0, 0, 0)),))
-    noise = from_repeat(labels, larger, wall_margin_mm=2.0)
+    noise = noise_from_repeat(labels, larger, wall_margin_mm=2.0)
     assert np.hypot(noise.sd_mm, noise.nugget_mm) < 0.07
 
 

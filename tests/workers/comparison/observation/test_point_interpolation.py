@@ -6,7 +6,7 @@ from scipy.spatial import Delaunay
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import TetMesh
-from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.body.mesh.nodal_interpolation import interpolation_at_points
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def test_values_match_qhull_point_location(cloud, mesh):
     weight = np.einsum("pij,pj->pi", transform[:, :3], points - transform[:, 3])
     weight = np.column_stack([weight, 1 - weight.sum(axis=1)])
     expected = np.einsum("pc,pcx->px", weight, values[cloud.simplices[simplex]])
-    matrix = interpolation(mesh, points)
+    matrix = interpolation_at_points(mesh, points)
     assert matrix.shape == (500, 400) and matrix.nnz <= 4 * 500
     np.testing.assert_allclose(matrix @ values, expected, atol=1e-9)
 
@@ -41,13 +41,13 @@ def test_points_slightly_outside_are_extrapolated_linearly(mesh):
     centre = mesh.nodes.mean(axis=0)
     rim = mesh.nodes[np.argsort(-np.linalg.norm(mesh.nodes, axis=1))[:20]]
     points = rim + 0.1 * (rim - centre) / np.linalg.norm(rim - centre, axis=1, keepdims=True)
-    matrix = interpolation(mesh, points)
+    matrix = interpolation_at_points(mesh, points)
     np.testing.assert_allclose(matrix.sum(axis=1), 1)
     assert np.median(np.linalg.norm(matrix @ mesh.nodes - points, axis=1)) < 1e-9
 
 
 def test_refuses_points_of_another_body(mesh):
     with pytest.raises(InputError, match="1 of 2 points are more than 5 mm outside the mesh"):
-        interpolation(mesh, np.array([(0.0, 0.0, 0.0), (90.0, 0.0, 0.0)]))
+        interpolation_at_points(mesh, np.array([(0.0, 0.0, 0.0), (90.0, 0.0, 0.0)]))
     with pytest.raises(InputError, match="finite"):
-        interpolation(mesh, np.array([(0.0, np.inf, 0.0)]))
+        interpolation_at_points(mesh, np.array([(0.0, np.inf, 0.0)]))

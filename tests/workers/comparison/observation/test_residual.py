@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.comparison.observation.interface import GLANDULAR, OUTLINE, interface_points
-from palpate.workers.comparison.observation.residual import observe, residual
+from palpate.workers.comparison.observation.interface_residual import (
+    GLANDULAR,
+    OUTLINE,
+    interface_points,
+    observe,
+    residual,
+)
 from tests.workers.comparison.observation.ellipsoids import breast
 
 BOTH = (OUTLINE, GLANDULAR)

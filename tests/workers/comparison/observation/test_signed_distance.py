@@ -7,9 +7,8 @@ from scipy.spatial import KDTree
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.comparison.observation.cubic_interpolation import at_points
-from palpate.workers.comparison.observation.isosurface import surface
-from palpate.workers.comparison.observation.signed_distance import signed_distance
+from palpate.workers.comparison.observation.interface_residual import signed_distance
+from palpate.workers.comparison.observation.isosurface import cubic_at_points, surface
 from palpate.workers.comparison.observation.triangle_distance import NEAR, distances
 from tests.workers.comparison.observation.ellipsoids import breast, lattice
 
@@ -126,7 +125,7 @@ def test_cubic_convolution_is_exact_for_quadratics():
         return x**2 - 0.5 * y * z + 3 * z**2 + x - 2
 
     inner = np.random.default_rng(0).uniform(1.001, 7, (50, 3)) * spacing + origin
-    value, gradient = at_points(field(x, y, z).astype(np.float32), spacing, origin, inner)
+    value, gradient = cubic_at_points(field(x, y, z).astype(np.float32), spacing, origin, inner)
     px, py, pz = inner.T
     np.testing.assert_allclose(value, field(px, py, pz), atol=1e-3)
     exact = np.column_stack([2 * px + 1, -0.5 * pz, -0.5 * py + 6 * pz])

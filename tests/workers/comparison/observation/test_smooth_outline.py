@@ -5,10 +5,9 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.comparison.observation.interface import OUTLINE
-from palpate.workers.comparison.observation.noise import SegmentationNoise
-from palpate.workers.comparison.observation.signed_distance import signed_distance
-from palpate.workers.comparison.observation.smooth_outline import smooth_outline
+from palpate.workers.comparison.observation.interface_residual import OUTLINE, signed_distance
+from palpate.workers.comparison.observation.isosurface import smooth_outline
+from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise
 from tests.workers.comparison.observation.redrawn import perturbed
 
 HALF = (30.0, 24.0, 26.0)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import FloatArray, TetMesh, Tissue
-from palpate.workers.body.mesh.hierarchy import build_hierarchy
-from palpate.workers.comparison.observation.interface import InterfacePoints
-from palpate.workers.comparison.observation.noise import SegmentationNoise
-from palpate.workers.comparison.observation.point_interpolation import interpolation
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
+from palpate.workers.body.mesh.nodal_interpolation import interpolation_at_points
+from palpate.workers.comparison.observation.interface_residual import InterfacePoints
+from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise
+from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis
+from palpate.workers.diagnosis.fits.effect_sensitivities import joined_sensitivity, scan_sensitivity
 from palpate.workers.diagnosis.fits.gauss_newton import SolvedFit, fit
-from palpate.workers.diagnosis.fits.sensitivity_analysis import joined_sensitivity, scan_sensitivity
-from palpate.workers.diagnosis.noise.model import NoiseParts, believed
+from palpate.workers.diagnosis.noise.noise_components import NoiseParts, believed
 from palpate.workers.diagnosis.problem.inverse_problem import (
     FreeConstant,
     InverseProblem,
@@ -20,17 +21,20 @@ from palpate.workers.diagnosis.problem.inverse_problem import (
     Unknowns,
     unknowns,
 )
-from palpate.workers.diagnosis.problem.scan_poses import PosedNoise, registered, residuals
-from palpate.workers.diagnosis.problem.scan_prediction import derivatives, predict_scan
-from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
+from palpate.workers.diagnosis.problem.scan_prediction import (
+    PosedNoise,
+    derivatives,
+    predict_scan,
+    registered,
+    residuals,
+)
 from palpate.workers.diagnosis.verdict.joint_fit import fit_jointly
-from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.fields import frame_of
-from palpate.workers.mechanics.fem.problem.loads import Wall
-from palpate.workers.organs.breast.effects import CATALOGUE
+from palpate.workers.mechanics.effects.effect import Effect
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem, frame_of
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.mechanics.fem.loads_and_regions import Wall
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
 from tests.workers.mechanics.effects.lopsided import plain, volume
 
 effect = CATALOGUE.named
@@ -64,7 +68,7 @@ def problem_between_plates(hidden=None, values=None, forces=(10.0, 20.0)) -> Inv
         nodes, outward, np.zeros(k, np.int32), np.ones(k), np.zeros(k, np.int32)
     )
     mesh = TetMesh(model.finest.nodes, model.finest.elements.tets)
-    at_points = interpolation(mesh, nodes)
+    at_points = interpolation_at_points(mesh, nodes)
 
     def scan(force_n: float) -> Scan:
         asked = problem(TRUTH, force_n)

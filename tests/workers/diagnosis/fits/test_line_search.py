@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.fits import gauss_newton
-from palpate.workers.diagnosis.fits.secant_curvature import LocalModel
+from palpate.workers.diagnosis.fits.gauss_newton import LocalModel
 from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, Unknowns, unknowns
 from palpate.workers.diagnosis.problem.scan_prediction import ScanJacobian
-from palpate.workers.diagnosis.settings.values import SETTINGS
 
 ONE = unknowns([FreeConstant("E_fat", np.exp(-1.0), np.exp(1.0))], [])
 """One parameter with a mean of zero and a standard deviation of one."""

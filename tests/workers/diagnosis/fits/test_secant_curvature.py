@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.fits import gauss_newton
-from palpate.workers.diagnosis.fits.secant_curvature import LocalModel, SecantCurvature
+from palpate.workers.diagnosis.fits.gauss_newton import LocalModel, SecantCurvature
 from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, unknowns
 from palpate.workers.diagnosis.problem.scan_prediction import ScanJacobian
-from palpate.workers.diagnosis.settings.values import SETTINGS
 
 P = 4
 FREE = unknowns([FreeConstant(f"E_{i}", np.exp(-1.0), np.exp(1.0)) for i in range(P)], [])

@@ -9,17 +9,18 @@ from scipy.special import logsumexp
 from scipy.stats import norm
 
 from palpate.storage.errors import InputError
-from palpate.workers.diagnosis.algebra.linearisation import factored
-from palpate.workers.diagnosis.noise.evidence import NoiseModel
-from palpate.workers.diagnosis.noise.learning import learnt_states
-from palpate.workers.diagnosis.noise.model import NoiseParts, NoiseState
-from palpate.workers.diagnosis.noise.nuisances import (
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.linearisation import factored
+from palpate.workers.diagnosis.noise.averaged_evidence import NoiseModel
+from palpate.workers.diagnosis.noise.noise_components import (
+    NoiseParts,
+    NoiseState,
     drawing_columns,
     pose_columns,
     smooth_columns,
     smooth_covariance,
 )
-from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.noise.noise_learning import learnt_states
 from tests.workers.diagnosis.linear_world import (
     FIELD,
     NOISE_MM,

@@ -6,10 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from palpate.workers.diagnosis.noise.model import NoiseParts
-from palpate.workers.diagnosis.noise.nuisances import smooth_columns
-from palpate.workers.diagnosis.noise.uneven import with_factors, with_uneven_noise
-from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.noise.noise_components import NoiseParts, smooth_columns
+from palpate.workers.diagnosis.noise.noise_learning import with_factors, with_uneven_noise
 from tests.workers.diagnosis.linear_world import NOISE_MM, ellipsoid, layout, mode
 
 K = 300

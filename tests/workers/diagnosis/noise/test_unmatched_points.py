@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palpate.workers.comparison.observation.interface import InterfacePoints
-from palpate.workers.diagnosis.noise.nuisances import smooth_columns
+from palpate.workers.comparison.observation.interface_residual import InterfacePoints
+from palpate.workers.diagnosis.noise.noise_components import smooth_columns
 from palpate.workers.diagnosis.noise.unmatched_points import matched
 from tests.workers.diagnosis.linear_world import ellipsoid, layout, mode, noise_covariance
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from palpate.workers.body.mesh.boundary import boundary_triangles
-from palpate.workers.diagnosis.outcome.pictures.edges import edge_arrays, sharp_edges
-from palpate.workers.organs.specimen.block import block
+from palpate.workers.body.mesh.mesh_geometry import boundary_triangles
+from palpate.workers.diagnosis.outcome.body_pictures import edge_arrays, sharp_edges
+from palpate.workers.organs.specimen.block_lattice import block
 
 SIZE_MM = (30.0, 20.0, 60.0)
 

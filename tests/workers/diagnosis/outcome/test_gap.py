@@ -6,14 +6,23 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.diagnosis.algebra.linear_fit import LinearFit
-from palpate.workers.diagnosis.outcome import shrinkage as shrinkages
-from palpate.workers.diagnosis.outcome.gap import Gap, credited, gap, pooled
-from palpate.workers.diagnosis.outcome.shrinkage import Comparison
-from palpate.workers.diagnosis.outcome.summarise import known_shares
-from palpate.workers.diagnosis.schema.summary import GapEstimate, GapSummary, ShareEstimate
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.observation import rigid_columns
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.linearisation import LinearFit
+from palpate.workers.diagnosis.outcome import gap_and_shrinkage as shrinkages
+from palpate.workers.diagnosis.outcome.diagnosis_summary import (
+    GapEstimate,
+    GapSummary,
+    ShareEstimate,
+)
+from palpate.workers.diagnosis.outcome.gap_and_shrinkage import (
+    Comparison,
+    Gap,
+    credited,
+    gap,
+    pooled,
+)
+from palpate.workers.diagnosis.outcome.summarising import known_shares
+from palpate.workers.mechanics.effects.observation_effects import rigid_columns
 from tests.workers.diagnosis.linear_world import catalogue, layout, mode, nominal_problem, observed
 
 STATE = layout(60)[2]

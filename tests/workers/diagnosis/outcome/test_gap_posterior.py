@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from palpate.workers.diagnosis.algebra.evidence import Sides
-from palpate.workers.diagnosis.noise.evidence import LinearHypothesis
-from palpate.workers.diagnosis.outcome.gap_posterior import _within_bounds, draw_gaps
+from palpate.workers.diagnosis.laplace_evidence import Sides
+from palpate.workers.diagnosis.noise.averaged_evidence import LinearHypothesis
+from palpate.workers.diagnosis.outcome.averaged_posteriors import _within_bounds, draw_gaps
 from palpate.workers.diagnosis.verdict.hypotheses import probabilities
 from tests.workers.diagnosis.linear_world import (
     catalogue,

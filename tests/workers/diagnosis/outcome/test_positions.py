@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.workers.diagnosis.outcome import summarise
-from palpate.workers.diagnosis.outcome.parameter_posterior import ParameterPosterior
+from palpate.workers.diagnosis.outcome import summarising
+from palpate.workers.diagnosis.outcome.averaged_posteriors import ParameterPosterior
 from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant
-from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.mechanics.effects.boundary import LOCAL_ATTACHMENT
-from palpate.workers.mechanics.effects.local_stiffness import INCLUSION
-from palpate.workers.units import NUMBER
+from palpate.workers.mechanics.effects.effect import Effect
+from palpate.workers.mechanics.effects.local_stiffness_effects import INCLUSION
+from palpate.workers.mechanics.effects.support_effects import LOCAL_ATTACHMENT
+from palpate.workers.mechanics.model_parameters import NUMBER
 
 CENTRE_MM = (100.0, -20.0, 22.5)
 
@@ -22,13 +22,13 @@ def test_stiffness_intervals_include_the_difference_between_solvers(
     segmented: bool, between: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     posterior = ParameterPosterior(np.log([0.011, 2.0]), np.array([0.02, 0.03]))
-    monkeypatch.setattr(summarise, "parameter_posterior", lambda *_: posterior)
+    monkeypatch.setattr(summarising, "parameter_posterior", lambda *_: posterior)
     free = (FreeConstant("E", 0.001, 0.1), FreeConstant("b", 0.1, 10.0, NUMBER))
     fit: Any = SimpleNamespace(unknowns=SimpleNamespace(free=free), z=np.log([0.010, 2.1]))
     inverse = SimpleNamespace(is_segmented=segmented)
     analysis = SimpleNamespace(coarse_noise=None, hypothesis=lambda fit: None, inverse=inverse)
     diagnosis: Any = SimpleNamespace(analysis=analysis)
-    found = summarise._intervals(diagnosis, fit)
+    found = summarising._intervals(diagnosis, fit)
     reach = np.exp(1.6449 * np.hypot(0.02, between))
     assert found["E"] == pytest.approx((0.010 / reach, 0.011 * reach))
     assert found["b"] == pytest.approx((2.0 / np.exp(1.6449 * 0.03), 2.1 * np.exp(1.6449 * 0.03)))
@@ -43,7 +43,7 @@ def test_position_is_the_offset_from_the_middle_of_the_body(
     fitted = dict.fromkeys((p.name for p in effect.parameters), 1.0)
     fitted |= {f"{stem}_x": 3.0, f"{stem}_y": 4.0, f"{stem}_z": -7.2}
     posterior = ParameterPosterior(np.array(list(fitted.values())), np.full(len(fitted), 0.5))
-    monkeypatch.setattr(summarise, "parameter_posterior", lambda *_: posterior)
+    monkeypatch.setattr(summarising, "parameter_posterior", lambda *_: posterior)
     fit = SimpleNamespace(unknowns=SimpleNamespace(names=tuple(fitted)))
     analysis = SimpleNamespace(
         coarse_noise=None,
@@ -53,7 +53,7 @@ def test_position_is_the_offset_from_the_middle_of_the_body(
     )
     joint_fits = {(effect.name,): SimpleNamespace(fit=fit)}
     diagnosis = SimpleNamespace(analysis=analysis, joint_fits=joint_fits)
-    found = {p.parameter: p for p in summarise._parameters(diagnosis, effect, (effect.name,))}
+    found = {p.parameter: p for p in summarising._parameters(diagnosis, effect, (effect.name,))}
     position = [found[f"{stem}_position_{axis}_mm"] for axis in "xyz"]
     assert [p.magnitude for p in position] == pytest.approx([103.0, -16.0, 15.3])
     assert [(p.sd, p.unit) for p in position] == [(0.5, "mm")] * 3

@@ -5,8 +5,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from palpate.workers.diagnosis.problem.anchored_scan import anchored
 from palpate.workers.diagnosis.problem.inverse_problem import Scan
+from palpate.workers.diagnosis.problem.scan_noise import anchored
 
 LENGTH_MM, SD_MM = 4.0, 0.3
 RNG = np.random.default_rng(3)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palpate.workers.comparison.observation.noise import SegmentationNoise, correlation
+from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise, correlation
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.problem.inverse_problem import FollowedPoints
-from palpate.workers.diagnosis.problem.noise_parts import planned_covariance, stated_covariances
-from palpate.workers.diagnosis.settings.values import SETTINGS
+from palpate.workers.diagnosis.problem.scan_noise import planned_covariance, stated_covariances
 from tests.workers.diagnosis.fits.test_gauss_newton import problem_between_plates
 
 NOISE = SegmentationNoise(0.1, 4.0, 0.06, 0.01)

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
+from palpate.workers.diagnosis.fits.effect_sensitivities import places_of, scan_sensitivity
 from palpate.workers.diagnosis.fits.gauss_newton import fit
-from palpate.workers.diagnosis.fits.sensitivity_analysis import scan_sensitivity
 from palpate.workers.diagnosis.problem.inverse_problem import unknowns
-from palpate.workers.diagnosis.problem.places import places_of
 from palpate.workers.diagnosis.problem.scan_prediction import predict_scan
 from palpate.workers.diagnosis.verdict.joint_fit import fit_jointly
-from palpate.workers.mechanics.fem.elements.external_forces import stated_springs
-from palpate.workers.organs.breast.effects import CATALOGUE
+from palpate.workers.mechanics.fem.external_forces import stated_springs
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
 from tests.workers.diagnosis.fits.test_gauss_newton import FREE, analysed, problem_between_plates
 
 effect = CATALOGUE.named

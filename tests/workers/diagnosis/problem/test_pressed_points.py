@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from palpate.workers.comparison.observation.noise import covariance
+from palpate.workers.comparison.observation.segmentation_noise import covariance
 from palpate.workers.diagnosis.problem.inverse_problem import unknowns
-from palpate.workers.diagnosis.problem.pressed_points import pressed_shares, with_pressed_points
+from palpate.workers.diagnosis.problem.scan_noise import pressed_shares, with_pressed_points
 from palpate.workers.diagnosis.problem.scan_prediction import derivatives, predict_scan
 from tests.workers.diagnosis.fits.test_gauss_newton import FREE, problem_between_plates
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from palpate.workers.diagnosis.noise.nuisances import correlated, pose_columns
-from palpate.workers.diagnosis.outcome.parameter_posterior import parameter_posterior
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.mechanics.effects.observation import rigid_columns
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.noise.noise_components import correlated, pose_columns
+from palpate.workers.diagnosis.outcome.averaged_posteriors import parameter_posterior
+from palpate.workers.mechanics.effects.observation_effects import rigid_columns
 from tests.workers.diagnosis.linear_world import (
     dense_log_density,
     hypothesis_of,

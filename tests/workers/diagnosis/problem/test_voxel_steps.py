@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.comparison.observation.interface import InterfacePoints
-from palpate.workers.comparison.observation.residual import observe, residual
-from palpate.workers.diagnosis.problem.acquisition import INTERFACES
+from palpate.workers.comparison.observation.interface_residual import (
+    InterfacePoints,
+    observe,
+    residual,
+)
 from palpate.workers.diagnosis.problem.inverse_problem import Scan
+from palpate.workers.diagnosis.problem.planned_acquisition import INTERFACES
+from palpate.workers.diagnosis.problem.scan_noise import voxel_steps
 from palpate.workers.diagnosis.problem.scan_prediction import ComparedScan
-from palpate.workers.diagnosis.problem.voxel_steps import voxel_steps
 
 VOXEL_MM = 0.8
 LENGTH_MM = 4.0

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.fits.effect_sensitivities import starting_places
 from palpate.workers.diagnosis.fits.gauss_newton import fit
 from palpate.workers.diagnosis.problem.inverse_problem import unknowns
-from palpate.workers.diagnosis.problem.places import starting_places
-from palpate.workers.diagnosis.settings.values import SETTINGS
-from palpate.workers.diagnosis.verdict.diagnosis import base_of
+from palpate.workers.diagnosis.verdict.diagnosis_course import base_of
 from palpate.workers.diagnosis.verdict.joint_fit import fit_jointly
-from palpate.workers.organs.breast.effects import CATALOGUE
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
 from tests.workers.diagnosis.fits.test_gauss_newton import FREE, analysed, problem_between_plates
 
 effect = CATALOGUE.named

@@ -6,19 +6,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.workers.diagnosis.algebra.effect_sensitivity import EffectSensitivity
-from palpate.workers.diagnosis.screening.nominal_analysis import NominalAnalysis
-from palpate.workers.diagnosis.screening.screening import ScreeningResult
-from palpate.workers.diagnosis.verdict.diagnosis import (
+from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis, ScreeningResult
+from palpate.workers.diagnosis.linearisation import EffectSensitivity
+from palpate.workers.diagnosis.verdict.diagnosis_course import (
     Diagnosis,
     advance,
     diagnose,
+    pairs,
+    suspects,
+    triples,
     unfitted,
     weigh,
 )
 from palpate.workers.diagnosis.verdict.hypotheses import Hypothesis
-from palpate.workers.diagnosis.verdict.suspects import pairs, suspects, triples
-from palpate.workers.organs.breast.effects import CATALOGUE
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
 
 effect = CATALOGUE.named
 EDGE_SD_MM = 5.0
@@ -95,7 +96,9 @@ def test_every_named_effect_is_fitted(monkeypatch, simulated: bool) -> None:
         ), ()
 
     analysis: Any = SimpleNamespace(screening=[], sensitivities=[])
-    monkeypatch.setattr("palpate.workers.diagnosis.verdict.diagnosis._weighed_up", weighed_up)
+    monkeypatch.setattr(
+        "palpate.workers.diagnosis.verdict.diagnosis_course._weighed_up", weighed_up
+    )
     course = diagnose(analysis, known)
     wanted = advance(course)
     assert wanted == [(known[1],)]
@@ -117,8 +120,12 @@ def test_every_visible_effect_is_fitted_before_none_of_these(monkeypatch) -> Non
 
     analysis: Any = SimpleNamespace(screening=[weak], sensitivities=[])
     for name in ("suspects", "pairs", "triples"):
-        monkeypatch.setattr(f"palpate.workers.diagnosis.verdict.diagnosis.{name}", lambda *_: [])
-    monkeypatch.setattr("palpate.workers.diagnosis.verdict.diagnosis._weighed_up", weighed_up)
+        monkeypatch.setattr(
+            f"palpate.workers.diagnosis.verdict.diagnosis_course.{name}", lambda *_: []
+        )
+    monkeypatch.setattr(
+        "palpate.workers.diagnosis.verdict.diagnosis_course._weighed_up", weighed_up
+    )
     course = diagnose(analysis, known)
     assert advance(course) == [(known[1],)]
     answer: Any = [SimpleNamespace(names=("skin_added",))]
@@ -139,11 +146,11 @@ def joint_fit(names: str, log_evidence: float) -> Any:
 def supported(monkeypatch) -> tuple[Any, dict[str, Any]]:
     """An analysis in which the residuals of every fit support a skin, and the catalogue."""
     monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.suspects.screen",
+        "palpate.workers.diagnosis.verdict.diagnosis_course.screen",
         lambda *_: [screened("skin_added", 30.0)],
     )
     monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.suspects._is_unexplained", lambda *_: True
+        "palpate.workers.diagnosis.verdict.diagnosis_course._is_unexplained", lambda *_: True
     )
     analysis = SimpleNamespace(sensitivities=[], inverse=SimpleNamespace(coarsening=0.3))
     known = {name: effect(name) for name in ("plate_tilt", "growth", "creep", "skin_added")}
@@ -167,7 +174,7 @@ def test_three_effects_extend_the_best_two(supported) -> None:
 def test_every_nat_of_evidence_counts_zeta(monkeypatch, zeta: float) -> None:
     evidence = {(): Hypothesis((), -90.0, 20.0), ("growth",): Hypothesis(("growth",), -40.0)}
     monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.diagnosis.JointEvidence",
+        "palpate.workers.diagnosis.verdict.diagnosis_course.JointEvidence",
         lambda *_: SimpleNamespace(hypothesis=evidence.__getitem__),
     )
     analysis: Any = SimpleNamespace(
@@ -259,9 +266,9 @@ def test_fits_the_most_promising_pairs(monkeypatch, left, unexplained, expected)
         found = [screened(name, nats) for name, nats in left[names[0]].items()]
         return sorted(found, key=lambda one: -one.log_bayes_factor)
 
-    monkeypatch.setattr("palpate.workers.diagnosis.verdict.suspects.screen", screen)
+    monkeypatch.setattr("palpate.workers.diagnosis.verdict.diagnosis_course.screen", screen)
     monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.suspects._is_unexplained", lambda *_: unexplained
+        "palpate.workers.diagnosis.verdict.diagnosis_course._is_unexplained", lambda *_: unexplained
     )
     analysis: Any = SimpleNamespace(sensitivities=[], inverse=SimpleNamespace(coarsening=0.3))
     known = {name: effect(name) for name in ("plate_tilt", "skin_added", "growth", "creep")}

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.diagnosis.algebra.evidence import log_evidence
-from palpate.workers.diagnosis.screening.screening import screen
-from palpate.workers.diagnosis.settings.values import SETTINGS, OddsSettings
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS, OddsSettings
+from palpate.workers.diagnosis.fits.effect_screening import screen
+from palpate.workers.diagnosis.laplace_evidence import log_evidence
 from palpate.workers.diagnosis.verdict.hypotheses import Hypothesis, PriorOdds, probabilities
 from palpate.workers.diagnosis.verdict.verdict import verdict
 from tests.workers.diagnosis.linear_world import (

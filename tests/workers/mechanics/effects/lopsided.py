@@ -1,14 +1,10 @@
 """Problems of the small breast of `palpate.testing`."""
 
 from palpate.storage.values import Tissue
-from palpate.testing.bodies import HALF_MM, NU
-from palpate.testing.bodies import small_breast as volume
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
-    Constants,
-    Membrane,
-    Problem,
-)
-from palpate.workers.mechanics.fem.problem.loads import Device, ForceControl, Load, Plate, Wall
+from palpate.testing.plugin_claims import HALF_MM, NU
+from palpate.testing.plugin_claims import small_breast as volume
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Membrane, Problem
+from palpate.workers.mechanics.fem.loads_and_regions import Device, ForceControl, Load, Plate, Wall
 
 __all__ = ["HALF_MM", "busy", "plain", "problem", "volume"]
 

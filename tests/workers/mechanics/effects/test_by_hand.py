@@ -8,12 +8,23 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Membrane
-from palpate.workers.mechanics.fem.problem.fields import FibreField, Frame, Gradient, Inclusion
-from palpate.workers.mechanics.fem.problem.loads import Attachment, DistanceControl, NoPlates, Wall
-from palpate.workers.mechanics.materials.yeoh import Yeoh
-from palpate.workers.organs.breast.effects import CATALOGUE
-from palpate.workers.units import KPA_PER_MM, MM_PER_KPA, N_PER_M
+from palpate.workers.mechanics.fem.boundary_value_problem import (
+    Constants,
+    FibreField,
+    Frame,
+    Gradient,
+    Inclusion,
+    Membrane,
+)
+from palpate.workers.mechanics.fem.loads_and_regions import (
+    Attachment,
+    DistanceControl,
+    NoPlates,
+    Wall,
+)
+from palpate.workers.mechanics.materials.polynomial_laws import Yeoh
+from palpate.workers.mechanics.model_parameters import KPA_PER_MM, MM_PER_KPA, N_PER_M
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
 from tests.workers.mechanics.effects.lopsided import HALF_MM, busy, plain
 
 effect = CATALOGUE.named

@@ -11,14 +11,20 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.effects.base import Effect, one_sided, renamed
-from palpate.workers.mechanics.effects.boundary import CLAMP_COMPLIANCE, base_motion
-from palpate.workers.mechanics.effects.observation import rigidly_moved
-from palpate.workers.mechanics.fem.problem.fields import Frame
-from palpate.workers.mechanics.fem.problem.loads import NoPlates, Wall
-from palpate.workers.mechanics.parameters import BREAST, Parameter
-from palpate.workers.organs.breast.effects import BREAST_EFFECTS, CATALOGUE
-from palpate.workers.units import KPA_PER_MM, MM, MM_PER_KPA, N_PER_M
+from palpate.workers.mechanics.effects.effect import Effect, one_sided, renamed
+from palpate.workers.mechanics.effects.observation_effects import rigidly_moved
+from palpate.workers.mechanics.effects.support_effects import CLAMP_COMPLIANCE, base_motion
+from palpate.workers.mechanics.fem.boundary_value_problem import Frame
+from palpate.workers.mechanics.fem.loads_and_regions import NoPlates, Wall
+from palpate.workers.mechanics.model_parameters import (
+    BREAST,
+    KPA_PER_MM,
+    MM,
+    MM_PER_KPA,
+    N_PER_M,
+    Parameter,
+)
+from palpate.workers.organs.breast.breast_effects import BREAST_EFFECTS, CATALOGUE
 from tests.workers.mechanics.effects.lopsided import HALF_MM, busy, plain, problem
 
 effect = CATALOGUE.named

@@ -6,18 +6,18 @@ from importlib import import_module
 from pathlib import Path
 
 from palpate import workers
-from palpate.workers.mechanics.effects.base import Effect
-from palpate.workers.organs.registry import catalogue_of, organ_names
+from palpate.workers.mechanics.effects.effect import Effect
+from palpate.workers.organs.organ_plugins import catalogue_of, organ_names
 
 ROOT = Path(str(workers.__file__)).resolve().parents[1]
 FAMILIES = "palpate.workers.mechanics.effects"
 # Names with another meaning elsewhere: a constant of a study, causes of the other solver, and
 # tangents timed by a benchmark.
 OTHERWISE = {
-    "service/bench/stages.py",
-    "service/formatting.py",
+    "service/bench/stage_timing.py",
+    "service/number_formatting.py",
 }
-OF_ORGANS = re.compile(r"workers/organs/\w+/(parameters|problem)\.py")
+OF_ORGANS = re.compile(r"workers/organs/(\w+)/\1_(keys|problem)\.py")
 
 
 def modules():
@@ -25,7 +25,9 @@ def modules():
         for file in sorted((ROOT / folder).rglob("*.py")):
             path = file.relative_to(ROOT).as_posix()
             own = path.startswith(("workers/mechanics/effects/", "workers/blind/"))
-            if not own and not (path.startswith("workers/organs/") and file.name == "effects.py"):
+            if not own and not (
+                path.startswith("workers/organs/") and file.name.endswith("_effects.py")
+            ):
                 yield path, ast.parse(file.read_text())
 
 

@@ -10,15 +10,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from palpate.workers.body.mesh.hierarchy import build_hierarchy
-from palpate.workers.mechanics.effects.base import Effect, one_sided
-from palpate.workers.mechanics.fem.elements.model import Model, prepare
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import tangents
-from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Membrane, Problem
-from palpate.workers.mechanics.fem.problem.fields import Frame, frame_of
-from palpate.workers.mechanics.fem.problem.loads import Wall
-from palpate.workers.organs.breast.effects import BREAST_EFFECTS, CATALOGUE
+from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
+from palpate.workers.mechanics.effects.effect import Effect, one_sided
+from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium, equilibrium
+from palpate.workers.mechanics.fem.boundary_value_problem import Frame, Membrane, Problem, frame_of
+from palpate.workers.mechanics.fem.discretisation import Model, prepare
+from palpate.workers.mechanics.fem.equilibrium_sensitivity import tangents
+from palpate.workers.mechanics.fem.loads_and_regions import Wall
+from palpate.workers.organs.breast.breast_effects import BREAST_EFFECTS, CATALOGUE
 from tests.workers.mechanics.effects.lopsided import plain, volume
 
 effect = CATALOGUE.named

@@ -7,12 +7,11 @@ import numpy as np
 from scipy import sparse
 
 from palpate.storage.values import TetMesh, Tissue
-from palpate.workers.body.mesh.hierarchy import Hierarchy, MeshLevel
-from palpate.workers.mechanics.fem.elements.model import LevelModel, Model, prepare
-from palpate.workers.mechanics.fem.elements.states import Stage
-from palpate.workers.mechanics.fem.linear.level import Level
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import Device, NoPlates, Wall
+from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy, MeshLevel
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.discretisation import LevelModel, Model, Stage, prepare
+from palpate.workers.mechanics.fem.loads_and_regions import Device, NoPlates, Wall
+from palpate.workers.mechanics.fem.mesh_level import Level
 
 OPEN = Stage(None, None, 1.0, Device())
 

@@ -7,12 +7,11 @@ import numpy as np
 from scipy import sparse
 
 from palpate.storage.values import BoolArray, FloatArray, TetMesh, Tissue
-from palpate.workers.body.mesh.boundary import boundary_triangles
-from palpate.workers.body.mesh.hierarchy import Hierarchy, MeshLevel
-from palpate.workers.mechanics.fem.elements.model import Model, prepare
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants
-from palpate.workers.mechanics.fem.problem.loads import Hold
-from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.body.mesh.mesh_geometry import boundary_triangles
+from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy, MeshLevel
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants
+from palpate.workers.mechanics.fem.discretisation import Model, prepare
+from palpate.workers.mechanics.fem.loads_and_regions import Box, Hold
 
 # The planes x = 0 and y = 0 are planes of symmetry; the wall is the third.
 FAR = np.inf

@@ -6,10 +6,15 @@ from scipy.special import erf
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import Attachment, DeadForce, NoPlates, Wall
-from palpate.workers.mechanics.fem.problem.regions import EVERYWHERE
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.loads_and_regions import (
+    EVERYWHERE,
+    Attachment,
+    DeadForce,
+    NoPlates,
+    Wall,
+)
 from tests.workers.mechanics.fem.solids import body, box
 
 SIZE = 10.0

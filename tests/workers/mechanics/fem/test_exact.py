@@ -5,17 +5,17 @@ import pytest
 from scipy.optimize import fsolve
 
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.fem.elements.states import State
-from palpate.workers.mechanics.fem.equilibrium.newton import minimise
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.linear.multigrid import solver_factory
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import (
     Constants,
+    FibreField,
     Membrane,
     Problem,
 )
-from palpate.workers.mechanics.fem.problem.fields import FibreField
-from palpate.workers.mechanics.fem.problem.loads import DistanceControl, ForceControl
+from palpate.workers.mechanics.fem.discretisation import State
+from palpate.workers.mechanics.fem.energy_minimisation import minimise
+from palpate.workers.mechanics.fem.loads_and_regions import DistanceControl, ForceControl
+from palpate.workers.mechanics.fem.multigrid import solver_factory
 from tests.workers.mechanics.fem.blocks import OPEN, cube, holding, loose_level, model_of
 
 

@@ -6,15 +6,14 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import brentq
 
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import (
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import (
     GRAVITY_MM_PER_S2,
     Constants,
+    FibreField,
     Problem,
 )
-from palpate.workers.mechanics.fem.problem.fields import FibreField
-from palpate.workers.mechanics.fem.problem.loads import Hold, NoPlates, Wall
-from palpate.workers.mechanics.fem.problem.regions import EVERYWHERE
+from palpate.workers.mechanics.fem.loads_and_regions import EVERYWHERE, Hold, NoPlates, Wall
 from tests.workers.mechanics.fem.solids import body, box, nominal_mpa, rotation, turned
 
 HEIGHT = 80.0

@@ -7,12 +7,11 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.fem.equilibrium.element_fields import element_fields
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.linear.level import Level
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import NoPlates, Pressure, Wall
-from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.loads_and_regions import Box, NoPlates, Pressure, Wall
+from palpate.workers.mechanics.fem.mesh_level import Level
+from palpate.workers.mechanics.fem.stress_fields import element_fields
 from palpate.workers.mechanics.materials.fung import Fung
 from tests.workers.mechanics.fem.solids import FAR, MIRRORS, body, box
 

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import FloatArray, Tissue
-from palpate.workers.mechanics.fem.elements.element_constants import element_constants
-from palpate.workers.mechanics.fem.elements.element_energy import deformation_gradients
-from palpate.workers.mechanics.fem.elements.states import State
-from palpate.workers.mechanics.fem.equilibrium.newton import minimise
-from palpate.workers.mechanics.fem.linear.level import Level
-from palpate.workers.mechanics.fem.linear.multigrid import solver_factory
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.fields import Inclusion
-from palpate.workers.mechanics.fem.problem.loads import NoPlates
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Inclusion, Problem
+from palpate.workers.mechanics.fem.discretisation import State
+from palpate.workers.mechanics.fem.element_energy import deformation_gradients
+from palpate.workers.mechanics.fem.element_laws import element_constants
+from palpate.workers.mechanics.fem.energy_minimisation import minimise
+from palpate.workers.mechanics.fem.loads_and_regions import NoPlates
+from palpate.workers.mechanics.fem.mesh_level import Level
+from palpate.workers.mechanics.fem.multigrid import solver_factory
 from tests.workers.mechanics.fem.blocks import OPEN, holding
 from tests.workers.mechanics.fem.solids import ball, body, symmetric
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from palpate.workers.mechanics.fem.elements.states import State
-from palpate.workers.mechanics.fem.equilibrium.newton import minimise
-from palpate.workers.mechanics.fem.linear.multigrid import solver_factory
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants
+from palpate.workers.mechanics.fem.discretisation import State
+from palpate.workers.mechanics.fem.energy_minimisation import minimise
+from palpate.workers.mechanics.fem.multigrid import solver_factory
 from palpate.workers.mechanics.materials.law_plugins import law_named
 from tests.workers.mechanics.fem.blocks import OPEN, cube, holding, loose_level, model_of
 

@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import FloatArray
-from palpate.workers.mechanics.fem.elements.element_energy import deformation_gradients
-from palpate.workers.mechanics.fem.elements.states import State
-from palpate.workers.mechanics.fem.equilibrium.newton import minimise
-from palpate.workers.mechanics.fem.linear.level import Level
-from palpate.workers.mechanics.fem.linear.multigrid import LinearSolver, solver_factory
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants
-from palpate.workers.mechanics.fem.problem.fields import FibreField
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, FibreField
+from palpate.workers.mechanics.fem.discretisation import State
+from palpate.workers.mechanics.fem.element_energy import deformation_gradients
+from palpate.workers.mechanics.fem.energy_minimisation import minimise
+from palpate.workers.mechanics.fem.mesh_level import Level
+from palpate.workers.mechanics.fem.multigrid import LinearSolver, solver_factory
 from tests.workers.mechanics.fem.blocks import OPEN, holding, loose_level
 from tests.workers.mechanics.fem.solids import body, box
 

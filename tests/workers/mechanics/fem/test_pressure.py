@@ -6,15 +6,11 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.fem.elements.element_energy import deformation_gradients
-from palpate.workers.mechanics.fem.elements.external_forces import (
-    pressure_derivative,
-    pressure_forces,
-)
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import NoPlates, Pressure
-from palpate.workers.mechanics.fem.problem.regions import Ball, Box
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.element_energy import deformation_gradients
+from palpate.workers.mechanics.fem.external_forces import pressure_derivative, pressure_forces
+from palpate.workers.mechanics.fem.loads_and_regions import Ball, Box, NoPlates, Pressure
 from tests.workers.mechanics.fem.solids import MIRRORS, ball, body, box, symmetric
 
 

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.fem.elements.external_forces import spring_stiffness
-from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import ForceControl, Hold, NoPlates, Wall
-from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.mechanics.fem.body_equilibrium import equilibrium
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.external_forces import spring_stiffness
+from palpate.workers.mechanics.fem.loads_and_regions import Box, ForceControl, Hold, NoPlates, Wall
 from tests.workers.mechanics.fem.solids import FAR, body, box
 
 SIZE = 20.0

@@ -5,10 +5,16 @@ import pytest
 from scipy.optimize import fsolve
 
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import DeadForce, NoPlates, Pressure, Wall
-from palpate.workers.mechanics.fem.problem.regions import EVERYWHERE, Box
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.loads_and_regions import (
+    EVERYWHERE,
+    Box,
+    DeadForce,
+    NoPlates,
+    Pressure,
+    Wall,
+)
 from tests.workers.mechanics.fem.solids import FAR, MIRRORS, body, box, nominal_mpa
 
 SIZE = 10.0

@@ -2,12 +2,10 @@
 
 import numpy as np
 
-from palpate.workers.mechanics.materials.fibres import Fibres
 from palpate.workers.mechanics.materials.fung import Fung
-from palpate.workers.mechanics.materials.mooney_rivlin import MooneyRivlin
-from palpate.workers.mechanics.materials.neo_hookean import NeoHookean
 from palpate.workers.mechanics.materials.ogden import Ogden
-from palpate.workers.mechanics.materials.yeoh import Yeoh
+from palpate.workers.mechanics.materials.polynomial_laws import MooneyRivlin, NeoHookean, Yeoh
+from tests.workers.mechanics.materials.fibre_laws import Fibres
 
 ISOCHORIC = {
     "neo-hookean": NeoHookean(0.003),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.mechanics.materials.fibres import Fibres
+from tests.workers.mechanics.materials.fibre_laws import Fibres
 from tests.workers.mechanics.materials.laws_at_hand import ALONG, FIBRES, deformations
 
 Z = np.array([0.0, 0.0, 1.0])

@@ -7,23 +7,23 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.workers.mechanics.materials.fung import Fung
-from palpate.workers.mechanics.materials.homogeneous_deformation import (
-    Mode,
-    Table,
+from palpate.workers.mechanics.materials.law_fit import (
+    DeformationMode,
+    StressTable,
+    equally_good,
+    fit_law,
     nominal_stress_mpa,
+    read_tables,
 )
-from palpate.workers.mechanics.materials.law_fit import equally_good, fit_law
 from palpate.workers.mechanics.materials.law_plugins import (
     LawPlugin,
     law_named,
     law_names,
     law_of_constant,
 )
-from palpate.workers.mechanics.materials.neo_hookean import NeoHookean
-from palpate.workers.mechanics.materials.table_file import read_tables
-from palpate.workers.mechanics.parameters import Parameter
+from palpate.workers.mechanics.materials.polynomial_laws import NeoHookean
+from palpate.workers.mechanics.model_parameters import NUMBER, Parameter
 from palpate.workers.plugins import foreign_plugins
-from palpate.workers.units import NUMBER
 from tests.workers.mechanics.materials.laws_at_hand import deformations
 from tests.workers.mechanics.materials.test_tables import rubber
 
@@ -38,13 +38,13 @@ SHAPES = {
 }
 
 
-def made_by(plugin: LawPlugin, shape: dict[str, float], noise: float = 0.0) -> list[Table]:
+def made_by(plugin: LawPlugin, shape: dict[str, float], noise: float = 0.0) -> list[StressTable]:
     rng, law = np.random.default_rng(3), plugin.make(MU, shape)
     tables = []
-    for mode in (Mode.UNIAXIAL, Mode.EQUIBIAXIAL, Mode.PLANAR):
+    for mode in (DeformationMode.UNIAXIAL, DeformationMode.EQUIBIAXIAL, DeformationMode.PLANAR):
         x = np.linspace(0.8, 1.6, 12)
         stress = nominal_stress_mpa(law, mode, x)
-        tables.append(Table(mode, x, stress * (1 + noise * rng.standard_normal(x.size))))
+        tables.append(StressTable(mode, x, stress * (1 + noise * rng.standard_normal(x.size))))
     return tables
 
 
@@ -133,13 +133,13 @@ def write(folder: Path, text: str) -> Path:
 def test_reads_units_and_modes_of_a_table(tmp_path):
     text = "# made by hand\nstrain_percent;stress_kpa;mode\n10;2;\n20;5;planar\n\n30;7;Planar\n"
     uniaxial, planar = read_tables(write(tmp_path, text))
-    assert uniaxial.mode is Mode.UNIAXIAL
-    assert planar.mode is Mode.PLANAR
+    assert uniaxial.mode is DeformationMode.UNIAXIAL
+    assert planar.mode is DeformationMode.PLANAR
     np.testing.assert_allclose(uniaxial.deformation, [1.1])
     np.testing.assert_allclose(planar.deformation, [1.2, 1.3])
     np.testing.assert_allclose(planar.stress_mpa, [0.005, 0.007])
     (shear,) = read_tables(write(tmp_path, "shear,stress_pa\n0.1,30\n0.2,60\n"))
-    assert shear.mode is Mode.SIMPLE_SHEAR
+    assert shear.mode is DeformationMode.SIMPLE_SHEAR
     np.testing.assert_allclose(shear.stress_mpa, [3e-5, 6e-5])
 
 

@@ -9,11 +9,10 @@ import pytest
 from palpate.storage.values import FloatArray, Tissue, Volume
 from palpate.workers.diagnosis.problem.inverse_problem import unknowns
 from palpate.workers.diagnosis.problem.scan_prediction import predict_scan
-from palpate.workers.organs.breast.case.checks import check_case
-from palpate.workers.organs.breast.case.files import read_case
-from palpate.workers.organs.breast.case.scanned_case import ScannedCase
-from palpate.workers.organs.breast.case.source import ScannedCaseSource
-from palpate.workers.organs.breast.effects import CATALOGUE
+from palpate.workers.organs.breast.breast_effects import CATALOGUE
+from palpate.workers.organs.breast.scanned_case import ScannedCase
+from palpate.workers.organs.breast.scanned_case_files import read_case
+from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource, check_case
 from tests.service.diagnosis.compressed_breast import SCANS, TRUE_MPA, write_case, write_scan
 
 effect = CATALOGUE.named

@@ -9,9 +9,9 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Triple, Volume
-from palpate.workers.organs.breast.case.checks import check_case
-from palpate.workers.organs.breast.case.files import read_case
-from palpate.workers.organs.breast.case.scanned_case import extent_mm
+from palpate.workers.organs.breast.scan_facts import extent_mm
+from palpate.workers.organs.breast.scanned_case_files import read_case
+from palpate.workers.organs.breast.scanned_case_source import check_case
 from tests.service.diagnosis.compressed_breast import SCANS, loads_exchanged, write_case, write_scan
 
 Change = Callable[[Path], object]

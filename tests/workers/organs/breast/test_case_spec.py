@@ -9,11 +9,10 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.organs.breast.case.files import read_case_file
-from palpate.workers.organs.breast.case.scanned_case import ScannedCase
-from palpate.workers.organs.breast.case.spec import ALONG_X, CaseFile, CaseWall
-from palpate.workers.organs.breast.case.table import understood
-from palpate.workers.spec import validated
+from palpate.workers.common_keys import validated
+from palpate.workers.organs.breast.scanned_case import ScannedCase
+from palpate.workers.organs.breast.scanned_case_files import read_case_file, understood
+from palpate.workers.organs.breast.scanned_case_keys import ALONG_X, CaseFile, CaseWall
 
 CASE: dict[str, Any] = {
     "organ": "breast",

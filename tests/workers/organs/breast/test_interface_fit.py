@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.service.bench.strategies import Bench, study_of, targets
-from palpate.workers.organs.breast.organ import ORGAN
+from palpate.service.bench.strategy_benchmark import Bench, study_of, targets
+from palpate.workers.organs.breast.breast_organ import ORGAN
 
 NAMES = ("E_fat", "eta_fat", "E_glandular", "eta_glandular")
 

@@ -5,16 +5,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.service.study.spec import StudySpec
+from palpate.service.study.study_keys import StudySpec
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
+from palpate.workers.common_keys import validated
 from palpate.workers.mechanics.materials.fung import Fung
-from palpate.workers.mechanics.materials.yeoh import Yeoh
-from palpate.workers.organs.breast.case.spec import CaseFile
-from palpate.workers.organs.breast.organ import ORGAN
-from palpate.workers.organs.breast.problem import problem_of
-from palpate.workers.organs.breast.spec import BreastCase
-from palpate.workers.spec import validated
+from palpate.workers.mechanics.materials.polynomial_laws import Yeoh
+from palpate.workers.organs.breast.breast_keys import BreastCase
+from palpate.workers.organs.breast.breast_organ import ORGAN
+from palpate.workers.organs.breast.breast_problem import problem_of
+from palpate.workers.organs.breast.scanned_case_keys import CaseFile
 
 E = {"E_fat_kpa": [5, 20], "E_glandular_kpa": [20, 50]}
 

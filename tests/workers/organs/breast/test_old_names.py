@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 import yaml
 
-from palpate.storage.digest import digest
 from palpate.storage.errors import InputError
-from palpate.workers.old_names import DIAGNOSIS
-from palpate.workers.organs.breast.case.files import read_case_file
-from palpate.workers.organs.breast.case.spec import CaseFile
-from palpate.workers.spec import validated
+from palpate.storage.json_digests import digest
+from palpate.workers.common_keys import validated
+from palpate.workers.file_keys import OLD_DIAGNOSIS_KEYS
+from palpate.workers.organs.breast.scanned_case_files import read_case_file
+from palpate.workers.organs.breast.scanned_case_keys import CaseFile
 
 OLD: dict[str, Any] = {
     "name": "mine",
@@ -51,8 +51,8 @@ def test_each_old_name_is_read_with_one_note(
         old = read_case_file(path)
         read_case_file(path)
     assert old == validated(CaseFile, NEW)
-    assert len(caplog.messages) == len(DIAGNOSIS)
-    for name, new in DIAGNOSIS.items():
+    assert len(caplog.messages) == len(OLD_DIAGNOSIS_KEYS)
+    for name, new in OLD_DIAGNOSIS_KEYS.items():
         assert any(f"{name} is now called {new}" in text for text in caplog.messages)
 
 

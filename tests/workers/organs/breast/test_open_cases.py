@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from palpate.workers.diagnosis.schema.summary import Summary
-from palpate.workers.organs.breast.case.files import read_case
-from palpate.workers.organs.breast.case.source import ScannedCaseSource
+from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
+from palpate.workers.organs.breast.scanned_case_files import read_case
+from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource
 from palpate.workers.tasks.diagnosis_store import Outcome
 from tests.workers.tasks.one_process import diagnosed_store
 

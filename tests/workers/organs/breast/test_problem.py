@@ -5,11 +5,10 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.mechanics.fem.problem.loads import DistanceControl, ForceControl
-from palpate.workers.organs.breast.effects import BREAST_MODEL
-from palpate.workers.organs.breast.keys.load import LoadSpec
-from palpate.workers.organs.breast.keys.model import ModelSpec
-from palpate.workers.organs.breast.problem import (
+from palpate.workers.mechanics.fem.loads_and_regions import DistanceControl, ForceControl
+from palpate.workers.organs.breast.breast_effects import BREAST_MODEL
+from palpate.workers.organs.breast.breast_keys import LoadSpec, ModelSpec
+from palpate.workers.organs.breast.breast_problem import (
     check_skin_layer,
     extent_of,
     materials_of,

@@ -5,13 +5,12 @@ from pathlib import Path
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.body.phantom.breast import generate_breast
-from palpate.workers.comparison.observation.noise import SegmentationNoise
-from palpate.workers.organs.breast.case.checks import check_case
-from palpate.workers.organs.breast.case.files import read_case
-from palpate.workers.organs.breast.case.scanned_case import ScannedCase
-from palpate.workers.organs.breast.case.source import ScannedCaseSource
-from palpate.workers.tasks.sources import add_source
+from palpate.workers.body.phantom.phantom_generation import generate_breast
+from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise
+from palpate.workers.organs.breast.scanned_case import ScannedCase
+from palpate.workers.organs.breast.scanned_case_files import read_case
+from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource, check_case
+from palpate.workers.tasks.diagnosis_sources import add_source
 from palpate.workers.tasks.task_store import TaskStore
 from tests.service.diagnosis.compressed_breast import (
     PHANTOM,

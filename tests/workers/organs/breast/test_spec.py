@@ -5,11 +5,16 @@ from pydantic import ValidationError
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.body.phantom.settings import BreastPhantom
-from palpate.workers.organs.breast.keys.load import LoadSpec, PlateDistanceSpec
-from palpate.workers.organs.breast.keys.model import MeshSpec
-from palpate.workers.organs.breast.spec import BreastCase, BreastScore, BreastTarget
-from palpate.workers.spec import validated
+from palpate.workers.body.phantom.phantom_settings import BreastPhantom
+from palpate.workers.common_keys import validated
+from palpate.workers.organs.breast.breast_keys import (
+    BreastCase,
+    BreastScore,
+    BreastTarget,
+    LoadSpec,
+    MeshSpec,
+    PlateDistanceSpec,
+)
 
 PHANTOM = {"phantom": {"spacing_mm": 2.0}}
 

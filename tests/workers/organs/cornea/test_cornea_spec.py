@@ -5,11 +5,11 @@ from typing import Any
 
 import pytest
 
-from palpate.service.study.spec import StudySpec, parse_spec, read_spec
+from palpate.service.study.study_keys import StudySpec, parse_spec, read_spec
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.material.load import MPA_PER_MMHG
-from palpate.workers.organs.cornea.spec import CorneaCase
-from palpate.workers.spec import validated
+from palpate.workers.common_keys import validated
+from palpate.workers.organs.cornea.cornea_keys import CorneaCase
+from palpate.workers.organs.cornea.corneal_model import MPA_PER_MMHG
 
 EXAMPLES = Path(__file__).parents[4] / "examples"
 X1 = {"mu1_pa": 11000, "alpha1": 30, "mu2_pa": 35000, "alpha2": 80}

@@ -5,19 +5,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from palpate.workers.mechanics.effects.base import Effect, one_sided
-from palpate.workers.organs.cornea.diagnosis.diagnosed_problem import CorneaForward, CorneaProblem
-from palpate.workers.organs.cornea.diagnosis.study_source import frame_of_section
-from palpate.workers.organs.cornea.effects import (
-    CORNEA_EFFECTS,
-    peaked,
-)
-from palpate.workers.organs.cornea.material.load import CorneaLoad
-from palpate.workers.organs.cornea.organ import ORGAN
-from palpate.workers.organs.cornea.parameters import CORNEA
-from palpate.workers.organs.cornea.problem import candidate_of
-from palpate.workers.organs.cornea.spec import CorneaCase
-from palpate.workers.spec import validated
+from palpate.workers.common_keys import validated
+from palpate.workers.mechanics.effects.effect import Effect, one_sided
+from palpate.workers.organs.cornea.cornea_effects import CORNEA_EFFECTS, peaked
+from palpate.workers.organs.cornea.cornea_forward import CorneaForward, CorneaProblem
+from palpate.workers.organs.cornea.cornea_keys import CORNEA, CorneaCase
+from palpate.workers.organs.cornea.cornea_organ import ORGAN
+from palpate.workers.organs.cornea.cornea_problem import candidate_of
+from palpate.workers.organs.cornea.cornea_study_source import frame_of_section
+from palpate.workers.organs.cornea.corneal_model import CorneaLoad
 
 X1 = {"mu1_pa": 11000.0, "alpha1": 30.0, "mu2_pa": 35000.0, "alpha2": 80.0}
 CASE = validated(CorneaCase, {"organ": "cornea", "mesh": {"elements": 120}, "constants": X1})

@@ -8,14 +8,16 @@ differed by 0.5 to 1 %, because the edge of the jet was inside triangles.
 import numpy as np
 import pytest
 
-from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.cornea.material.load import MPA_PER_MMHG, CorneaLoad
-from palpate.workers.organs.cornea.material.model import CorneaModel
-from palpate.workers.organs.cornea.mesh.section_mesh import mesh_section
-from palpate.workers.organs.cornea.section.generated import generated_section
-from palpate.workers.organs.cornea.solver.candidate import Candidate, scale_of
-from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
-from palpate.workers.organs.cornea.solver.sensitivity import sensitivity
+from palpate.workers.organs.cornea.cornea_problem import Candidate, prepare, scale_of
+from palpate.workers.organs.cornea.corneal_model import (
+    MPA_PER_MMHG,
+    CorneaConstants,
+    CorneaLoad,
+    CorneaModel,
+)
+from palpate.workers.organs.cornea.prestressed_equilibrium import sensitivity
+from palpate.workers.organs.cornea.section_mesh import mesh_section
+from palpate.workers.organs.cornea.section_outline import generated_section
 from tests.workers.organs.cornea.solver.solved import solve_cornea
 from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc
 

@@ -8,17 +8,13 @@ import pytest
 from PIL import Image
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.cornea.material.load import CorneaLoad
-from palpate.workers.organs.cornea.material.model import CorneaModel
-from palpate.workers.organs.cornea.mesh.section_mesh import mesh_section
-from palpate.workers.organs.cornea.organ import ORGAN
-from palpate.workers.organs.cornea.section.generated import generated_section
-from palpate.workers.organs.cornea.section.image import CORNEA_LABEL
-from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
-from palpate.workers.organs.cornea.spec import CorneaCase, CorneaScore
-from palpate.workers.spec import validated
-from palpate.workers.tasks import evaluation
+from palpate.workers.common_keys import validated
+from palpate.workers.organs.cornea.cornea_keys import CorneaCase, CorneaScore
+from palpate.workers.organs.cornea.cornea_organ import CORNEA_LABEL, ORGAN
+from palpate.workers.organs.cornea.corneal_model import CorneaConstants, CorneaLoad, CorneaModel
+from palpate.workers.organs.cornea.section_mesh import mesh_section
+from palpate.workers.organs.cornea.section_outline import RigidMotion, generated_section
+from palpate.workers.tasks import study_tasks
 from tests.workers.organs.cornea.frames.generated_frame import generated_frame
 from tests.workers.organs.cornea.solver.solved import solve_cornea
 
@@ -28,9 +24,9 @@ PIXEL_MM = (0.015625, 0.0165)
 
 
 def evaluated(case: dict[str, Any], target: str, store: Path, constants: dict[str, float]) -> Any:
-    prepared = evaluation.prepare_case(case, str(store))
+    prepared = study_tasks.prepare_case(case, str(store))
     spec = validated(CorneaCase, case)
-    return evaluation.evaluate(
+    return study_tasks.evaluate(
         {
             "store": str(store),
             "case": case,
@@ -43,7 +39,7 @@ def evaluated(case: dict[str, Any], target: str, store: Path, constants: dict[st
 
 
 def test_candidate_with_the_target_constants_matches_the_target(tmp_path: Path) -> None:
-    made = evaluation.make_target(CASE, {"constants": X1}, str(tmp_path))
+    made = study_tasks.make_target(CASE, {"constants": X1}, str(tmp_path))
     same = evaluated(CASE, made["target"], tmp_path, X1)
     assert same["score"]["jc"] == 1.0
     assert same["score"]["mhd_mm"] == pytest.approx(0.0, abs=1e-9)
@@ -51,12 +47,12 @@ def test_candidate_with_the_target_constants_matches_the_target(tmp_path: Path) 
     assert evaluated(CASE, made["target"], tmp_path, swapped)["digest"] == same["digest"]
     other = evaluated(CASE, made["target"], tmp_path, X1 | {"mu2_pa": 20000.0})
     assert other["score"]["gsf"] > 0
-    parts = evaluation.score_bodies(CASE, str(tmp_path), made["target"], other["digest"])
+    parts = study_tasks.score_bodies(CASE, str(tmp_path), made["target"], other["digest"])
     assert parts["cornea"] == other["score"]
 
 
 def test_tasks_match_the_solver(tmp_path: Path) -> None:
-    made = evaluation.make_target(CASE, {"constants": X1}, str(tmp_path))
+    made = study_tasks.make_target(CASE, {"constants": X1}, str(tmp_path))
     mesh = mesh_section(generated_section(), 240, (-1.5, 0.0, 1.5))
     constants = CorneaConstants((0.011, 0.035), (30.0, 80.0))
     load = CorneaLoad(10.5 * 1.33322387e-4)
@@ -68,8 +64,8 @@ def test_tasks_match_the_solver(tmp_path: Path) -> None:
 def test_divergent_prestress_is_an_ordinary_outcome(tmp_path: Path) -> None:
     soft = {"mu1_pa": 20.0, "alpha1": 2.0, "mu2_pa": 20.0, "alpha2": 2.0}
     with pytest.raises(InputError, match=r"cannot be simulated: .*(prestress|pressure of the eye)"):
-        evaluation.make_target(CASE, {"constants": soft}, str(tmp_path))
-    made = evaluation.make_target(CASE, {"constants": X1}, str(tmp_path))
+        study_tasks.make_target(CASE, {"constants": soft}, str(tmp_path))
+    made = study_tasks.make_target(CASE, {"constants": X1}, str(tmp_path))
     ending = evaluated(CASE, made["target"], tmp_path, soft)
     assert ending["status"] == "diverged"
     assert ending["score"] is None
@@ -90,7 +86,7 @@ def test_divergent_prestress_is_an_ordinary_outcome(tmp_path: Path) -> None:
 )
 def test_rejects_impossible_cases(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        evaluation.prepare_case(CASE | changes, str(tmp_path))
+        study_tasks.prepare_case(CASE | changes, str(tmp_path))
 
 
 def test_rejects_an_image_without_a_cornea(tmp_path: Path) -> None:
@@ -99,7 +95,7 @@ def test_rejects_an_image_without_a_cornea(tmp_path: Path) -> None:
     Image.fromarray(noise.astype(np.uint8)).save(tmp_path / "dark.png")
     frame = {"file": str(tmp_path / "dark.png"), "pixel_mm": PIXEL_MM}
     with pytest.raises(InputError, match="surface of a cornea is visible in"):
-        evaluation.prepare_case(CASE | {"reference": {"frame": frame}}, str(tmp_path / "store"))
+        study_tasks.prepare_case(CASE | {"reference": {"frame": frame}}, str(tmp_path / "store"))
 
 
 def test_section_survives_a_round_trip_through_an_image(tmp_path: Path) -> None:

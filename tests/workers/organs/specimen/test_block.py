@@ -7,15 +7,14 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.body.mesh.boundary import boundary_triangles
-from palpate.workers.comparison.observation.point_interpolation import interpolation
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import DeadForce, Hold, NoPlates, Wall
-from palpate.workers.mechanics.fem.problem.regions import Box
-from palpate.workers.organs.specimen.block import MOST_FACTORED, block, cells_of, lattice
-from palpate.workers.organs.specimen.mesh_error import part_of_compliance
+from palpate.workers.body.mesh.mesh_geometry import boundary_triangles
+from palpate.workers.body.mesh.nodal_interpolation import interpolation_at_points
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.mechanics.fem.loads_and_regions import Box, DeadForce, Hold, NoPlates, Wall
+from palpate.workers.organs.specimen.block_lattice import MOST_FACTORED, block, cells_of, lattice
+from palpate.workers.organs.specimen.mesh_and_boundary_errors import part_of_compliance
 
 SIZE = (20.0, 16.0, 50.0)
 
@@ -103,7 +102,7 @@ def test_corrected_deflection_matches_beam_theory():
     )
     size = (HEIGHT, HEIGHT, LENGTH)
     hierarchy = block(size, 2400)
-    u = interpolation(hierarchy.finest.mesh, TIP) @ (
+    u = interpolation_at_points(hierarchy.finest.mesh, TIP) @ (
         solve(prepare(hierarchy), cantilever()).displacement_mm
     )
     part = part_of_compliance(size, 2400, TIP, cantilever())

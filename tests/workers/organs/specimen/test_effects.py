@@ -8,23 +8,22 @@ from scipy.spatial.transform import Rotation
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.effects.base import one_sided
-from palpate.workers.mechanics.effects.boundary import CLAMP_COMPLIANCE
-from palpate.workers.mechanics.effects.loading import GRAM, LOAD_SCALE
-from palpate.workers.mechanics.effects.observation import FRAME_TURN, MARKER_STANDOFF
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.fields import Frame
-from palpate.workers.mechanics.fem.problem.loads import (
+from palpate.workers.mechanics.effects.effect import one_sided
+from palpate.workers.mechanics.effects.loading_effects import GRAM, LOAD_SCALE
+from palpate.workers.mechanics.effects.observation_effects import FRAME_TURN, MARKER_STANDOFF
+from palpate.workers.mechanics.effects.support_effects import CLAMP_COMPLIANCE
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Frame, Problem
+from palpate.workers.mechanics.fem.loads_and_regions import (
+    Box,
     DeadForce,
     DisplacementField,
     Hold,
     NoPlates,
     Wall,
 )
-from palpate.workers.mechanics.fem.problem.regions import Box
-from palpate.workers.organs.specimen.effects import specimen_effects
+from palpate.workers.mechanics.model_parameters import MM_PER_KPA
 from palpate.workers.organs.specimen.load_cells import LoadCell
-from palpate.workers.units import MM_PER_KPA
+from palpate.workers.organs.specimen.specimen_effects import specimen_effects
 
 FRAME = Frame((5.0, 5.0, 20.0), (5.0, 5.0, 20.0))
 TIP = Box((0, 0, 40), (10, 10, 40))

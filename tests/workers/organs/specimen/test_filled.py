@@ -8,10 +8,10 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.body.mesh.boundary import boundary_triangles
-from palpate.workers.organs.specimen.block import lattice
-from palpate.workers.organs.specimen.body import Body
-from palpate.workers.organs.specimen.spec import read_spec
+from palpate.workers.body.mesh.mesh_geometry import boundary_triangles
+from palpate.workers.organs.specimen.block_lattice import lattice
+from palpate.workers.organs.specimen.specimen_body import Body
+from palpate.workers.organs.specimen.specimen_keys import read_spec
 from palpate.workers.organs.specimen.voxelised_mesh import filled
 from tests.workers.organs.specimen.experiments import described, write
 

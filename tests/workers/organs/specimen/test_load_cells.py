@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.diagnosis.fits.calibration import calibrate
-from palpate.workers.diagnosis.outcome.summarise import summarise
-from palpate.workers.mechanics.fem.equilibrium.sensitivity import reactions, tangents_with_reactions
-from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change, Constants
+from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
+from palpate.workers.diagnosis.outcome.summarising import summarise
+from palpate.workers.mechanics.fem.body_equilibrium import equilibrium
+from palpate.workers.mechanics.fem.boundary_value_problem import Change, Constants
+from palpate.workers.mechanics.fem.equilibrium_sensitivity import reactions, tangents_with_reactions
 from palpate.workers.organs.specimen.experiment_files import read_experiment
-from palpate.workers.organs.specimen.prediction import posterior_factor
-from palpate.workers.tasks.diagnosis import model_displacements
+from palpate.workers.organs.specimen.observed_and_predicted import posterior_factor
+from palpate.workers.tasks.diagnosis_tasks import model_displacements
 from tests.workers.organs.specimen.experiments import SIZE, write
 from tests.workers.organs.specimen.test_measured_boundary import (
     FORCE_N,

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.comparison.observation.marker_noise import (
+from palpate.workers.comparison.observation.marker_tracking import (
+    Recording,
     Scatter,
     component_covariance,
+    misfit_mm,
+    read_recording,
+    rotation_to,
     scatter_of,
 )
-from palpate.workers.comparison.observation.marker_recording import Recording, read_recording
-from palpate.workers.comparison.observation.rigid_registration import misfit_mm, rotation_to
 
 TIMES = np.arange(0, 5.01, 0.01)
 

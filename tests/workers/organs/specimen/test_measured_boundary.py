@@ -7,17 +7,24 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.comparison.observation.point_interpolation import interpolation
-from palpate.workers.diagnosis.fits.calibration import calibrate
-from palpate.workers.diagnosis.problem.forward import Tetrahedra
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import equilibrium
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Problem
-from palpate.workers.mechanics.fem.problem.loads import DisplacementField, Hold, NoPlates
-from palpate.workers.mechanics.fem.problem.regions import EVERYWHERE
-from palpate.workers.organs.specimen.boundary_noise import affine_changes, boundary_covariance
+from palpate.workers.body.mesh.nodal_interpolation import interpolation_at_points
+from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
+from palpate.workers.diagnosis.problem.inverse_problem import Tetrahedra
+from palpate.workers.mechanics.fem.body_equilibrium import equilibrium
+from palpate.workers.mechanics.fem.boundary_value_problem import Problem
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.mechanics.fem.loads_and_regions import (
+    EVERYWHERE,
+    DisplacementField,
+    Hold,
+    NoPlates,
+)
 from palpate.workers.organs.specimen.experiment_files import read_experiment
-from palpate.workers.organs.specimen.source import SpecimenSource
+from palpate.workers.organs.specimen.mesh_and_boundary_errors import (
+    affine_changes,
+    boundary_covariance,
+)
+from palpate.workers.organs.specimen.specimen_source import SpecimenSource
 from tests.workers.organs.specimen.experiments import SIZE, described, write
 
 NODES = 700
@@ -164,7 +171,7 @@ def test_boundary_covariance_matches_random_draws(tmp_path):
     model = prepare(mesh)
     problem = source.problem(source.spec.states[0])({"E": 0.1, "compressibility": 0.3})
     points = grid()[grid()[:, 2] > 16]
-    at = interpolation(mesh.finest.mesh, points)
+    at = interpolation_at_points(mesh.finest.mesh, points)
     expected = boundary_covariance(
         Tetrahedra(), model, lambda u: (at @ u).ravel(), [problem], sd_mm
     )

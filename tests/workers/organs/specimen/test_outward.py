@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.body.mesh.boundary import boundary_triangles
-from palpate.workers.organs.specimen.block import lattice
-from palpate.workers.organs.specimen.body import arms
-from palpate.workers.organs.specimen.surface_normal import distances_to_triangles, outward_normals
+from palpate.workers.body.mesh.mesh_geometry import boundary_triangles
+from palpate.workers.organs.specimen.block_lattice import lattice
+from palpate.workers.organs.specimen.specimen_body import (
+    arms,
+    distances_to_triangles,
+    outward_normals,
+)
 
 SIZE = (12.0, 10.0, 20.0)
 MESH = lattice(SIZE, (4, 4, 7))

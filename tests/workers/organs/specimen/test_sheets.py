@@ -6,11 +6,11 @@ import yaml
 
 import palpate
 from palpate.storage.errors import InputError
-from palpate.workers.diagnosis.outcome.summarise import summarise
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Change
+from palpate.workers.diagnosis.outcome.summarising import summarise
+from palpate.workers.mechanics.fem.boundary_value_problem import Change
 from palpate.workers.organs.specimen.experiment_files import READER, read_experiment
-from palpate.workers.organs.specimen.sheet.forward import SheetForward
-from palpate.workers.tasks.diagnosis import model_displacements
+from palpate.workers.organs.specimen.load_cells import SheetForward
+from palpate.workers.tasks.diagnosis_tasks import model_displacements
 from tests.workers.tasks.one_process import diagnosed_store, diagnosis_in
 
 LENGTH, WIDTH, THICKNESS, E_KPA = 40.0, 20.0, 0.5, 80.0

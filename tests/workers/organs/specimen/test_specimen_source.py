@@ -10,19 +10,18 @@ from scipy.spatial.transform import Rotation
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.comparison.observation.point_interpolation import interpolation
-from palpate.workers.diagnosis.fits.calibration import calibrate
+from palpate.workers.body.mesh.nodal_interpolation import interpolation_at_points
 from palpate.workers.diagnosis.fits.gauss_newton import fit
+from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
 from palpate.workers.diagnosis.problem.inverse_problem import unknowns
 from palpate.workers.diagnosis.problem.scan_prediction import derivatives, predict_scan
-from palpate.workers.mechanics.fem.elements.model import prepare
-from palpate.workers.mechanics.fem.equilibrium.solve import solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import DeadForce, NoPlates, Wall
-from palpate.workers.mechanics.fem.problem.regions import Box
-from palpate.workers.organs.specimen.block import lattice, lattices
+from palpate.workers.mechanics.fem.body_equilibrium import solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.discretisation import prepare
+from palpate.workers.mechanics.fem.loads_and_regions import Box, DeadForce, NoPlates, Wall
+from palpate.workers.organs.specimen.block_lattice import lattice, lattices
 from palpate.workers.organs.specimen.experiment_files import files_of, read_experiment
-from palpate.workers.organs.specimen.spec import read_spec
+from palpate.workers.organs.specimen.specimen_keys import read_spec
 from tests.workers.organs.specimen.experiments import (
     LOADS_N,
     MARKERS,
@@ -61,7 +60,7 @@ def meshed(across, force_n, gravity, stalk_mm):
     mesh, moved = hierarchy.finest.mesh, []
     for at, out in MARKERS.values():
         foot, n = np.array(at), np.array(out)
-        here, below = (interpolation(mesh, p[None]) @ u for p in (foot, foot - 2 * n))
+        here, below = (interpolation_at_points(mesh, p[None]) @ u for p in (foot, foot - 2 * n))
         moved.append((here + stalk_mm * (here - below) / 2)[0])
     return np.array(moved)
 

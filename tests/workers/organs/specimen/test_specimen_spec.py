@@ -7,12 +7,12 @@ import yaml
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import GRAVITY_MM_PER_S2
-from palpate.workers.mechanics.fem.problem.loads import Hold, Wall
-from palpate.workers.mechanics.materials.yeoh import Yeoh
-from palpate.workers.organs.specimen.problem import free_constants, problem_of
-from palpate.workers.organs.specimen.readings.experiment_table import understood
-from palpate.workers.organs.specimen.spec import read_spec
+from palpate.workers.mechanics.fem.boundary_value_problem import GRAVITY_MM_PER_S2
+from palpate.workers.mechanics.fem.loads_and_regions import Hold, Wall
+from palpate.workers.mechanics.materials.polynomial_laws import Yeoh
+from palpate.workers.organs.specimen.experiment_files import understood
+from palpate.workers.organs.specimen.specimen_keys import read_spec
+from palpate.workers.organs.specimen.specimen_problem import free_constants, problem_of
 from tests.workers.organs.specimen.experiments import described, write
 
 EXAMPLE = Path(__file__).parents[4] / "examples" / "beam.yaml"

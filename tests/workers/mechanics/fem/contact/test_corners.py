@@ -11,13 +11,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from palpate.workers.mechanics.fem.elements.model import Model, prepare
-from palpate.workers.mechanics.fem.problem.outcome import Outcome
-from palpate.workers.mechanics.parameters import BREAST
-from palpate.workers.organs.breast.organ import ORGAN
-from palpate.workers.organs.breast.problem import Extent, extent_of
-from palpate.workers.organs.breast.spec import BreastCase
-from palpate.workers.spec import validated
+from palpate.workers.common_keys import validated
+from palpate.workers.mechanics.fem.boundary_value_problem import Outcome
+from palpate.workers.mechanics.fem.discretisation import Model, prepare
+from palpate.workers.mechanics.model_parameters import BREAST
+from palpate.workers.organs.breast.breast_keys import BreastCase
+from palpate.workers.organs.breast.breast_organ import ORGAN
+from palpate.workers.organs.breast.breast_problem import Extent, extent_of
 
 BARE = ("E_fat", "eta_fat", "E_glandular", "eta_glandular")
 COVERED = (*BARE, "E_skin")

@@ -4,11 +4,17 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import FloatArray, Tissue
-from palpate.workers.mechanics.fem.contact.plates import PENALTY_N_PER_MM3
-from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium, solve
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.loads import Device, DistanceControl, ForceControl, Hold
-from palpate.workers.mechanics.fem.problem.regions import EVERYWHERE, Box
+from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium, equilibrium, solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem
+from palpate.workers.mechanics.fem.loads_and_regions import (
+    EVERYWHERE,
+    Box,
+    Device,
+    DistanceControl,
+    ForceControl,
+    Hold,
+)
+from palpate.workers.mechanics.fem.plate_contact import PENALTY_N_PER_MM3
 from tests.workers.mechanics.fem.solids import FAR, body, box
 
 

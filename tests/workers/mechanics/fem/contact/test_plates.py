@@ -7,26 +7,11 @@ import numpy as np
 import pytest
 
 from palpate.storage.values import FloatArray, Tissue
-from palpate.workers.mechanics.fem.contact.contact_potential import (
-    NO_FACES,
-    ContactFaces,
-    ContactNodes,
-    ContactPotential,
-)
-from palpate.workers.mechanics.fem.contact.plate_surface import EDGE_RADIUS_MM, Gap, plate_surfaces
-from palpate.workers.mechanics.fem.contact.plates import (
-    PENALTY_N_PER_MM3,
-    PlateContact,
-    edge_stiffness,
-    penalty_potential,
-    plate_contact,
-)
-from palpate.workers.mechanics.fem.elements.states import Stage, State
-from palpate.workers.mechanics.fem.equilibrium.solve import Equilibrium, equilibrium, solve
-from palpate.workers.mechanics.fem.linear.level import Level
-from palpate.workers.mechanics.fem.problem.boundary_value_problem import Constants, Problem
-from palpate.workers.mechanics.fem.problem.fields import FibreField
-from palpate.workers.mechanics.fem.problem.loads import (
+from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium, equilibrium, solve
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, FibreField, Problem
+from palpate.workers.mechanics.fem.discretisation import Stage, State
+from palpate.workers.mechanics.fem.loads_and_regions import (
+    Box,
     Device,
     DistanceControl,
     ForceControl,
@@ -34,7 +19,23 @@ from palpate.workers.mechanics.fem.problem.loads import (
     Plate,
     Wall,
 )
-from palpate.workers.mechanics.fem.problem.regions import Box
+from palpate.workers.mechanics.fem.mesh_level import Level
+from palpate.workers.mechanics.fem.plate_contact import (
+    PENALTY_N_PER_MM3,
+    PlateContact,
+    edge_stiffness,
+    penalty_potential,
+    plate_contact,
+)
+from palpate.workers.mechanics.fem.plate_surface import (
+    EDGE_RADIUS_MM,
+    NO_FACES,
+    ContactFaces,
+    ContactNodes,
+    ContactPotential,
+    Gap,
+    plate_surfaces,
+)
 from tests.workers.mechanics.fem.solids import FAR, Shape, body, box, rotation, turned
 
 CLAMPED = Wall(held=(True, True, True))

@@ -16,12 +16,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from palpate.workers.mechanics.fem.elements.membrane import (
-    Sheet,
-    sheet_assemble,
-    sheet_energy,
-    sheet_of,
-)
+from palpate.workers.mechanics.fem.membrane import Sheet, sheet_assemble, sheet_energy, sheet_of
 
 STIFFNESS = 0.25
 SQUARE = np.array([[0, 0, 0], [2, 0, 0], [2, 3, 0], [0, 3, 0]], float)

@@ -8,10 +8,8 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
-from palpate.workers.organs.cornea.frames.frame import Frame
-from palpate.workers.organs.cornea.frames.reading import read_frame
-from palpate.workers.organs.cornea.section.outline import Section
-from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
+from palpate.workers.organs.cornea.section_outline import RigidMotion, Section
+from palpate.workers.organs.cornea.tonometer_frames import Frame, read_frame
 
 
 def chord_motion(section: Section) -> RigidMotion:

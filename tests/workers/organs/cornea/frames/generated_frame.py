@@ -6,8 +6,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from palpate.storage.values import FloatArray
-from palpate.workers.organs.cornea.frames.frame import Frame
-from palpate.workers.organs.cornea.section.outline import Section
+from palpate.workers.organs.cornea.section_outline import Section
+from palpate.workers.organs.cornea.tonometer_frames import Frame
 
 # Number of vertical lines per pixel; along each of them the coverage is exact.
 LINES_PER_PIXEL = 8

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.frames.reading import read_frame
-from palpate.workers.organs.cornea.frames.registration import register_periphery
-from palpate.workers.organs.cornea.frames.segmentation import segment_frame
-from palpate.workers.organs.cornea.mesh.quality import t6_quality
-from palpate.workers.organs.cornea.mesh.section_mesh import mesh_section
-from palpate.workers.organs.cornea.section.outline import Section
-from palpate.workers.organs.cornea.section.refraction import corrected_posterior
+from palpate.workers.organs.cornea.frame_segmentation import segment_frame
+from palpate.workers.organs.cornea.section_mesh import mesh_section, t6_quality
+from palpate.workers.organs.cornea.section_outline import Section, corrected_posterior
+from palpate.workers.organs.cornea.tonometer_frames import read_frame, register_periphery
 from tests.workers.organs.cornea.frames.corvis_profiles import (
     CorvisPair,
     chord_motion,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from palpate.workers.organs.cornea.frames.frame import Frame
-from palpate.workers.organs.cornea.frames.overlay import overlay
+from palpate.workers.organs.cornea.cornea_findings import overlay
+from palpate.workers.organs.cornea.tonometer_frames import Frame
 
 
 def test_line_colours_only_the_pixels_it_crosses() -> None:

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.frames.registration import register_periphery
-from palpate.workers.organs.cornea.section.generated import generated_section
-from palpate.workers.organs.cornea.section.outline import Section
-from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
+from palpate.workers.organs.cornea.section_outline import RigidMotion, Section, generated_section
+from palpate.workers.organs.cornea.tonometer_frames import register_periphery
 from tests.workers.organs.cornea.frames.corvis_profiles import chord_motion
 
 CORNEA = generated_section()

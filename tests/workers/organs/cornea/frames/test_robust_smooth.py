@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.workers.organs.cornea.frames.robust_smooth import robust_smooth
+from palpate.workers.organs.cornea.frame_segmentation import robust_smooth
 
 X = np.arange(400.0)
 

@@ -5,13 +5,10 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
-from palpate.workers.organs.cornea.frames.frame import Frame
-from palpate.workers.organs.cornea.frames.segmentation import SegmentedFrame, segment_frame
-from palpate.workers.organs.cornea.mesh.deformed_section import deformed_section
-from palpate.workers.organs.cornea.mesh.section_mesh import mesh_section
-from palpate.workers.organs.cornea.section.generated import generated_section
-from palpate.workers.organs.cornea.section.outline import Section
-from palpate.workers.organs.cornea.section.rigid_motion import RigidMotion
+from palpate.workers.organs.cornea.frame_segmentation import SegmentedFrame, segment_frame
+from palpate.workers.organs.cornea.section_mesh import deformed_section, mesh_section
+from palpate.workers.organs.cornea.section_outline import RigidMotion, Section, generated_section
+from palpate.workers.organs.cornea.tonometer_frames import Frame
 from tests.workers.organs.cornea.frames.generated_frame import FrameLook, generated_frame
 
 SPACING_MM = (0.015625, 0.0165)

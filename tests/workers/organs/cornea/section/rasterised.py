@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, distance_transform_edt
 
-from palpate.workers.organs.cornea.section.outline import Section
+from palpate.workers.organs.cornea.section_outline import Section
 
 
 def drawn(outline: NDArray[np.float64], shape: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.comparison.section_score import SectionTarget
-from palpate.workers.organs.cornea.section.cropped import cropped_section
-from palpate.workers.organs.cornea.section.generated import generated_section
-from palpate.workers.organs.cornea.section.polygon_areas import overlap_areas
+from palpate.workers.organs.cornea.section_comparison import SectionTarget, overlap_areas
+from palpate.workers.organs.cornea.section_outline import cropped_section, generated_section
 
 
 def test_both_surfaces_end_on_the_lines() -> None:

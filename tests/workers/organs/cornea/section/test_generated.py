@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.section.generated import generated_section
+from palpate.workers.organs.cornea.section_outline import generated_section
 
 
 @pytest.mark.parametrize("asphericity", [-1.3, -1.0, -0.2, 0.0, 0.3])

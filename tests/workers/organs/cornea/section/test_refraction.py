@@ -5,11 +5,11 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
-from palpate.workers.organs.cornea.section.generated import generated_section
-from palpate.workers.organs.cornea.section.refraction import (
+from palpate.workers.organs.cornea.section_outline import (
     CAMERA_ANGLE_DEG,
     CORNEA_INDEX,
     corrected_posterior,
+    generated_section,
 )
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_bvp
 
-from tests.workers.organs.cornea.material.ogden_energy import nominal_stress, young_and_poisson
+from tests.workers.organs.cornea.solver.ogden_energy import nominal_stress, young_and_poisson
 
 
 def lame_tube(R, a, b, pressure, constants):

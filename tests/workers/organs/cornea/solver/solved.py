@@ -1,11 +1,9 @@
 """A cornea prepared and solved in one call."""
 
-from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.cornea.material.load import CorneaLoad
-from palpate.workers.organs.cornea.material.model import CorneaModel
-from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
-from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
-from palpate.workers.organs.cornea.solver.solve import CorneaSolution, solve_prepared
+from palpate.workers.organs.cornea.cornea_problem import prepare
+from palpate.workers.organs.cornea.corneal_model import CorneaConstants, CorneaLoad, CorneaModel
+from palpate.workers.organs.cornea.prestressed_equilibrium import CorneaSolution, solve_prepared
+from palpate.workers.organs.cornea.section_mesh import T6Mesh
 
 
 def solve_cornea(

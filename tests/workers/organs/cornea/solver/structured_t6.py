@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
+from palpate.workers.organs.cornea.section_mesh import T6Mesh
 
 
 def mapped(nodes_mm, cells_along, cells_across):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.workers.organs.cornea.solver.cohort import (
+from palpate.workers.thesis.thesis_eyes import (
     PRINTED_AVERAGE,
     PRINTED_SD,
     TABLE_5_1,

@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.workers.organs.cornea.solver.envelope_lu import (
-    envelope_of,
-    factorise,
-    new_values,
-    node_order,
-)
+from palpate.workers.organs.cornea.envelope_lu import envelope_of, factorise, new_values, node_order
 from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc
 
 

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.cornea.material.load import CorneaLoad
-from palpate.workers.organs.cornea.material.model import CorneaModel
-from palpate.workers.organs.cornea.mesh.t6_geometry import QUADRATURE, shape_functions
-from palpate.workers.organs.cornea.solver.load_stepping import follow
-from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
-from palpate.workers.organs.cornea.solver.prestress import NO_LOAD
-from palpate.workers.organs.cornea.solver.system import Stage, system_of
+from palpate.workers.organs.cornea.cornea_equations import Stage, follow, system_of
+from palpate.workers.organs.cornea.cornea_problem import prepare, shape_functions
+from palpate.workers.organs.cornea.corneal_model import (
+    QUADRATURE,
+    CorneaConstants,
+    CorneaLoad,
+    CorneaModel,
+)
+from palpate.workers.organs.cornea.prestressed_equilibrium import NO_LOAD
 from tests.workers.organs.cornea.solver.radial_solutions import (
     finite_radius,
     lame_sphere,

@@ -3,12 +3,15 @@
 import numpy as np
 import pytest
 
-from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.cornea.material.load import MPA_PER_MMHG, CorneaLoad
-from palpate.workers.organs.cornea.material.model import CorneaModel
-from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
-from palpate.workers.organs.cornea.solver.prestress import prestressed
-from palpate.workers.organs.cornea.solver.system import system_of
+from palpate.workers.organs.cornea.cornea_equations import system_of
+from palpate.workers.organs.cornea.cornea_problem import prepare
+from palpate.workers.organs.cornea.corneal_model import (
+    MPA_PER_MMHG,
+    CorneaConstants,
+    CorneaLoad,
+    CorneaModel,
+)
+from palpate.workers.organs.cornea.prestressed_equilibrium import prestressed
 from tests.workers.organs.cornea.solver.solved import solve_cornea
 from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc
 

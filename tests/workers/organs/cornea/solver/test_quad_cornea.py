@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.cornea.material.load import MPA_PER_MMHG, CorneaLoad
-from palpate.workers.organs.cornea.material.model import CorneaModel
-from palpate.workers.organs.cornea.mesh.section_mesh import mesh_section
-from palpate.workers.organs.cornea.section.generated import generated_section
+from palpate.workers.organs.cornea.corneal_model import (
+    MPA_PER_MMHG,
+    CorneaConstants,
+    CorneaLoad,
+    CorneaModel,
+)
+from palpate.workers.organs.cornea.section_mesh import mesh_section
+from palpate.workers.organs.cornea.section_outline import generated_section
 from tests.workers.organs.cornea.solver.quad_cornea import Eye, deformed
 from tests.workers.organs.cornea.solver.solved import solve_cornea
 

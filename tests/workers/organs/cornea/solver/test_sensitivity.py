@@ -6,18 +6,24 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.cornea.material.load import CorneaLoad, JetProfile
-from palpate.workers.organs.cornea.material.model import CorneaModel
-from palpate.workers.organs.cornea.solver.candidate import (
+from palpate.workers.organs.cornea.cornea_problem import (
     Candidate,
     changed,
     parameter_names,
+    prepare,
     scale_of,
 )
-from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
-from palpate.workers.organs.cornea.solver.sensitivity import Change, sensitivity
-from palpate.workers.organs.cornea.solver.solve import solve_prepared
+from palpate.workers.organs.cornea.corneal_model import (
+    CorneaConstants,
+    CorneaLoad,
+    CorneaModel,
+    JetProfile,
+)
+from palpate.workers.organs.cornea.prestressed_equilibrium import (
+    CandidateChange,
+    sensitivity,
+    solve_prepared,
+)
 from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc
 
 X1 = CorneaConstants((0.011, 0.035), (30.0, 80.0))
@@ -108,7 +114,7 @@ def test_derivative_with_respect_to_the_thickness_matches_differences(method):
         return replace(candidate, prepared=prepare(mesh, candidate.prepared.model))
 
     step = 1e-5
-    result = sensitivity(candidate, [Change(thicker(step), thicker(-step), step)])
+    result = sensitivity(candidate, [CandidateChange(thicker(step), thicker(-step), step)])
     expected = by_differences(thicker, 2e-3)
     assert np.linalg.norm(result.derivatives[0] - expected) < 1e-6 * np.linalg.norm(expected)
 

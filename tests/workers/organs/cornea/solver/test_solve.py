@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.material.constants import CorneaConstants
-from palpate.workers.organs.cornea.material.load import MPA_PER_MMHG, CorneaLoad, JetProfile
-from palpate.workers.organs.cornea.material.model import CorneaModel
-from palpate.workers.organs.cornea.material.stiffness_gradient import stiffness_factors
-from palpate.workers.organs.cornea.mesh.t6_mesh import T6Mesh
-from palpate.workers.organs.cornea.solver.load_stepping import follow
-from palpate.workers.organs.cornea.solver.prepared_mesh import prepare
-from palpate.workers.organs.cornea.solver.prestress import prestressed
-from palpate.workers.organs.cornea.solver.solve import solve_prepared
-from palpate.workers.organs.cornea.solver.system import system_of
+from palpate.workers.organs.cornea.cornea_equations import follow, system_of
+from palpate.workers.organs.cornea.cornea_problem import prepare, stiffness_factors
+from palpate.workers.organs.cornea.corneal_model import (
+    MPA_PER_MMHG,
+    CorneaConstants,
+    CorneaLoad,
+    CorneaModel,
+    JetProfile,
+)
+from palpate.workers.organs.cornea.prestressed_equilibrium import prestressed, solve_prepared
+from palpate.workers.organs.cornea.section_mesh import T6Mesh
 from tests.workers.organs.cornea.solver.solved import solve_cornea
 from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from palpate.storage.errors import InputError
-from palpate.workers.organs.cornea.material.load import CorneaLoad, JetProfile
-from palpate.workers.organs.cornea.solver.envelope_lu import envelope_of
-from palpate.workers.organs.cornea.solver.surface_pressure import (
+from palpate.workers.organs.cornea.corneal_model import CorneaLoad, JetProfile
+from palpate.workers.organs.cornea.envelope_lu import envelope_of
+from palpate.workers.organs.cornea.t6_elements import (
+    NOTHING,
     add_pressure,
     jet_points,
     posterior_points,
 )
-from palpate.workers.organs.cornea.solver.t6_assembly import NOTHING
 from tests.workers.organs.cornea.solver.structured_t6 import corneal_arc, mapped
 
 

@@ -1,1 +1,0 @@
-"""Single simulations as arrays."""

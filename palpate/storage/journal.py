@@ -1,0 +1,300 @@
+r"""The journal from which a study is resumed: an append-only file of JSON records, one per line.
+
+::
+
+    {"kind":"study", ...}\n
+    {"kind":"evaluation","candidate":0, ...}\n
+    {"kind":"evaluation","cand                   torn: its writer was killed here
+
+A record exists once its newline is on disk. Anything after the last newline is ignored by
+readers and cut off by the next writer. There is one writer
+at a time; it holds a kernel lock (``flock``), which is released when the process ends,
+however it ends.
+"""
+
+import fcntl
+import os
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+from palpate.storage.backends.atomic_files import NO_LOCKS, NO_LOCKS_ADVICE, hint, read_hint, sync
+from palpate.storage.errors import JournalError
+from palpate.storage.journal_records import SCHEMA_VERSION
+from palpate.storage.json_digests import ChecksumError, dumps, loads, seal, unseal
+from palpate.storage.store import check_schema
+
+BLOCK = 65_536
+LOCK_PATIENCE_S = 1.0
+
+
+class Journal:
+    """Writer of a journal; use as a context manager.
+
+    Parameters
+    ----------
+    path : Path
+        Created if missing; its folder must exist.
+
+    Raises
+    ------
+    JournalError
+        If another process is writing this journal, or the file cannot be used.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp()) / "journal.jsonl"
+    >>> with Journal(path) as journal:
+    ...     journal.append({"candidate": 0})
+    >>> list(Journal.read(path))
+    [{'candidate': 0}]
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._handle = self._open()
+        try:
+            self._lock()
+            self._size = _whole_bytes(self._handle)
+            os.ftruncate(self._handle, self._size)
+            sync(self.path.parent)  # puts the name of a new file on disk, too
+        except OSError as error:
+            self.close()
+            raise self._failed("used", error) from error
+        except BaseException:
+            self.close()
+            raise
+        self._torn = False
+
+    def append(self, *records: Mapping[str, Any]) -> None:
+        """Write records and return once they are on disk; on an error, none is written.
+
+        Parameters
+        ----------
+        *records : mapping
+            Plain JSON values; infinities as texts, as `storage.journal_records` writes them.
+
+        Raises
+        ------
+        JournalError
+            If the disk is full or fails, or another program changed the file. The journal
+            then ends with its last whole record.
+        ValueError, TypeError
+            If a record cannot be written as JSON; nothing is written then.
+        """
+        if not records:
+            return
+        if self._handle < 0:
+            raise JournalError(f"{self.path} has been closed; open it again to append.")
+        data = "".join(seal(dumps(record)) + "\n" for record in records).encode()
+        try:
+            self._check_file()
+            _write_all(self._handle, data)
+            os.fsync(self._handle)
+            self._size += len(data)
+        except OSError as error:
+            self._cut_back()
+            raise self._failed("written", error) from error
+        except JournalError:
+            raise
+        except BaseException:
+            # Ctrl-C in the middle of a line; the next record must not join its first half.
+            self._cut_back()
+            raise
+
+    @staticmethod
+    def read(path: Path | str) -> Iterator[dict[str, Any]]:
+        """Yield every whole record in order; another process may be writing meanwhile.
+
+        See `Journal.lines`.
+        """
+        return (record for record, _ in Journal.lines(path))
+
+    @staticmethod
+    def lines(path: Path | str) -> Iterator[tuple[dict[str, Any], bool]]:
+        """Yield every whole record in order, and whether its checksum was verified.
+
+        A missing journal has no records. Records of earlier versions have no checksum.
+
+        Raises
+        ------
+        JournalError
+            If a line is damaged, its checksum is wrong, or the file cannot be read.
+        NewerSchemaError
+            If a newer version of Palpate wrote a record.
+        """
+        path = Path(path)
+        try:
+            file = path.open("rb")
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise JournalError(
+                f"{path} cannot be read: {error.strerror or error}. {read_hint(error)}"
+            ) from error
+        with file:
+            for number, line in enumerate(file, start=1):
+                if not line.endswith(b"\n"):
+                    return
+                yield _parse(line, path, number)
+
+    @staticmethod
+    def is_being_written(path: Path | str) -> bool:
+        """Return True if a process holds the lock of a journal.
+
+        False if there is no journal, or if the file system has no locks (no journal is written
+        there).
+        """
+        try:
+            handle = os.open(path, os.O_RDONLY)
+        except OSError:
+            return False
+        try:
+            return not _locked(handle, fcntl.LOCK_SH)
+        except OSError:
+            return False
+        finally:
+            _unlock_and_close(handle)
+
+    def close(self) -> None:
+        """Release the lock; closing twice is harmless."""
+        if self._handle >= 0:
+            handle, self._handle = self._handle, -1
+            _unlock_and_close(handle)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _open(self) -> int:
+        try:
+            return os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND, mode=0o666)
+        except OSError as error:
+            raise self._failed("opened", error) from error
+
+    def _lock(self) -> None:
+        """Take the lock, waiting a moment in case `is_being_written` is holding it."""
+        deadline = time.monotonic() + LOCK_PATIENCE_S
+        while not self._try_lock():
+            if time.monotonic() > deadline:
+                raise JournalError(
+                    f"{self.path} is being written by another process: this study is already "
+                    "running. Follow it with `palpate status`, or stop that process first."
+                )
+            time.sleep(LOCK_PATIENCE_S / 20)
+
+    def _try_lock(self) -> bool:
+        try:
+            return _locked(self._handle, fcntl.LOCK_EX)
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
+            raise JournalError(
+                f"{self.path} cannot be locked: {error.strerror or error}. {NO_LOCKS_ADVICE}"
+            ) from error
+
+    def _check_file(self) -> None:
+        """Raise an error if the file is no longer the one that was opened."""
+        if self._torn:
+            os.ftruncate(self._handle, self._size)
+            self._torn = False
+        mine = os.fstat(self._handle)
+        try:
+            named = os.stat(self.path)  # noqa: PTH116 - consistent with fstat
+        except FileNotFoundError:
+            named = None
+        if named is None or (named.st_ino, named.st_dev) != (mine.st_ino, mine.st_dev):
+            raise JournalError(
+                f"{self.path} was moved or replaced while its study was running. Put the journal "
+                "back and run the study again to continue."
+            )
+        if mine.st_size != self._size:
+            raise JournalError(
+                f"{self.path} was changed by another program while its study was running: it has "
+                f"{mine.st_size} bytes, expected {self._size}. Run the study again to continue "
+                "from its present content."
+            )
+
+    def _cut_back(self) -> None:
+        """Undo a failed write; if that fails too, the next `append` tries again."""
+        self._torn = True
+        with suppress(OSError):
+            os.ftruncate(self._handle, self._size)
+            self._torn = False
+
+    def _failed(self, what: str, error: OSError) -> JournalError:
+        return JournalError(
+            f"{self.path} cannot be {what}: {error.strerror or error}. {hint(error)}"
+        )
+
+
+def _locked(handle: int, kind: int) -> bool:
+    """Try to take a lock without waiting; False if another process has it."""
+    try:
+        fcntl.flock(handle, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _unlock_and_close(handle: int) -> None:
+    """Release the lock for all copies of the handle, then close this one.
+
+    A process that another thread is starting, such as a worker, has a copy between fork and
+    exec: closing ours alone would leave the lock with it.
+    """
+    with suppress(OSError):
+        fcntl.flock(handle, fcntl.LOCK_UN)
+    os.close(handle)
+
+
+def _write_all(handle: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(handle, view) :]
+
+
+def _whole_bytes(handle: int) -> int:
+    """Return the size of a file up to and including its last newline."""
+    end = os.fstat(handle).st_size
+    while end > 0:
+        start = max(end - BLOCK, 0)
+        newline = os.pread(handle, end - start, start).rfind(b"\n")
+        if newline >= 0:
+            return start + newline + 1
+        end = start
+    return 0
+
+
+def _parse(line: bytes, path: Path, number: int) -> tuple[dict[str, Any], bool]:
+    try:
+        try:
+            record, verified = unseal(line)
+        except ChecksumError:
+            _check_schema(loads(line), path, number)  # newer versions may sum differently
+            raise
+        _check_schema(record, path, number)
+        return record, verified
+    except ValueError as error:
+        what = error if isinstance(error, ChecksumError) else f"not a JSON record ({error})"
+        kept = f"the {number - 1} lines before it are" if number > 2 else "the line before it is"
+        advice = (
+            f"{kept} intact: move the journal aside and keep them with `head -n {number - 1} OLD > "
+            f"{path.name}`"
+            if number > 1
+            else "move the journal aside"
+        )
+        raise JournalError(
+            f"{path}, line {number}: {what}. To resume, {advice}, then run "
+            "the study again; evaluations in the store are not computed again."
+        ) from error
+
+
+def _check_schema(record: Mapping[str, Any], path: Path, number: int) -> None:
+    if "schema_version" in record:
+        check_schema(record["schema_version"], SCHEMA_VERSION, f"{path}, line {number},")

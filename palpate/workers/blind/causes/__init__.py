@@ -1,1 +1,0 @@
-"""Deviations from the nominal physics, each in its own mathematical form."""

@@ -1,1 +1,0 @@
-"""Graded tetrahedra whose faces follow the surface between two tissues (thesis section 4.4)."""

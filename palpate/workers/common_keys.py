@@ -1,0 +1,366 @@
+"""Keys of a study that are common to all organs, and their validation.
+
+The unit is part of every key. An unknown key is refused with a suggestion; `explain`
+converts pydantic's errors to a message for the user, and `validated` raises it as an
+`InputError`. The keys of one organ are in its own ``spec.py``.
+"""
+
+import reprlib
+from abc import abstractmethod
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    StringConstraints,
+    ValidationError,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
+
+from palpate.storage.errors import InputError
+from palpate.workers.file_keys import (
+    Pairs,
+    errors_with_pairs,
+    is_missing,
+    missing_key,
+    missing_pairs,
+    missing_text,
+    one_of,
+    without_empty_keys,
+)
+from palpate.workers.mechanics.model_parameters import Vocabulary, unknown_name
+from palpate.workers.plugins import Group, plugin
+
+
+def checked(check: Callable[[Any], object]) -> AfterValidator:
+    """Return a validator that reports errors raised by `check` with the path of the key."""
+
+    def validate(given: Any) -> Any:
+        try:
+            check(given)
+        except InputError as error:
+            raise ValueError(str(error)) from None
+        return given
+
+    return AfterValidator(validate)
+
+
+def checked_name(group: Group, name: str) -> str:
+    """Return the name of a known plug-in, or else raise a validation error."""
+    try:
+        return plugin(group, name).name
+    except InputError as error:
+        raise ValueError(str(error)) from None
+
+
+DEFAULT_OBJECTIVE = "gsf"
+Identifiable = Literal["absolute", "ratio"]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+# Names of studies and of stored images, which become file names.
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
+LawName = Annotated[str, AfterValidator(lambda name: checked_name("laws", name))]
+
+
+class Door(BaseModel):
+    """Frozen record that refuses unknown keys; an empty key counts as missing.
+
+    Exactly one key of each group in `exactly_one` must be given. The
+    `later_keys` are newer than some stored studies: they are omitted at their default values, so
+    that the digests of those studies stay the same.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    exactly_one: ClassVar[Pairs] = ()
+    later_keys: ClassVar[tuple[str, ...]] = ()
+
+    @model_serializer(mode="wrap")
+    def _without_later_defaults(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = handler(self)
+        fields = type(self).model_fields
+        for key in self.later_keys:
+            if getattr(self, key) == fields[key].get_default(call_default_factory=True):
+                values.pop(key, None)
+        return values
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_keys_only(cls, data: Any) -> Any:
+        if isinstance(data, Mapping):
+            unknown = [str(key) for key in data if key not in cls.model_fields]
+            if unknown:
+                raise ValueError(
+                    "; ".join(unknown_name("key", k, cls.model_fields) for k in unknown)
+                )
+            return without_empty_keys(cls, data)
+        return data
+
+    @model_validator(mode="after")
+    def _exactly_one_of_each_pair(self) -> Self:
+        given = {key for key in type(self).model_fields if getattr(self, key) is not None}
+        for keys in self.exactly_one:
+            several = [key for key in keys if key in given]
+            if len(several) > 1:
+                found = "both" if len(keys) == 2 else " and ".join(several)
+                raise ValueError(f"{one_of(keys)}, found {found}")
+        if lacking := missing_pairs(type(self), dict.fromkeys(given, True), self.model_fields_set):
+            raise missing_key("; ".join(lacking))
+        return self
+
+    @classmethod
+    def record_for(cls, data: Any) -> "type[Door]":
+        """Return the class for the keys of `data`: this one, unless overridden."""
+        return cls
+
+
+class CaseSpec(Door):
+    """Body, mesh, model and load: the base of every organ's case.
+
+    ``constants`` holds the constants that are not searched; missing ones keep their
+    neutral values.
+
+    Parameters
+    ----------
+    organ
+        Name of the organ.
+    reference
+        The undeformed body.
+    constants
+        Values of constants that are held fixed, such as ``nu: 0.49``.
+    """
+
+    organ: str
+    reference: Door = Field(description="the undeformed body")
+    constants: dict[str, float] = Field(default_factory=dict)
+
+    law_tissues: ClassVar[tuple[str, ...]] = ()
+    """Tissues for which a case chooses a law from `workers.mechanics.materials.law_plugins`."""
+
+    def __repr__(self) -> str:
+        held = [f"{name} {value:.4g}" for name, value in self.constants.items()]
+        return f"<Case of a {self.organ}, constants held: {', '.join(held) or 'none'}"[:498] + ">"
+
+    @property
+    @abstractmethod
+    def parameters(self) -> Vocabulary:
+        """Return the parameters that a study of this case can search or hold."""
+
+    @property
+    def vocabulary(self) -> Vocabulary:
+        """Return all parameters that `complete` sets."""
+        return self.parameters
+
+    @property
+    def plugged_modules(self) -> Sequence[str]:
+        """Return the modules of the case's plug-ins, on which results depend."""
+        return ()
+
+    @abstractmethod
+    def complete(self, constants: Mapping[str, float] | None = None) -> dict[str, float]:
+        """Return all constants, in internal names and units: given, set in the case, or neutral.
+
+        Raises
+        ------
+        InputError
+            If a name in `constants` is unknown or a value is not admissible.
+        """
+
+    def understood(self, searched: Collection[str]) -> list[tuple[str, str]]:
+        """Return names and texts of the physical assumptions of a study, including defaults.
+
+        Parameters
+        ----------
+        searched : collection of str
+            Internal names of the parameters that are not held.
+        """
+        return []
+
+    def unstated_load(self, searched: Collection[str]) -> str:
+        """Return the keys of the load for which this case uses defaults, or "".
+
+        Parameters
+        ----------
+        searched : collection of str
+            Names of the searched parameters, as in a study file.
+        """
+        return "" if "load" in self.model_fields_set else "case.load"
+
+    @property
+    def mesh_nodes(self) -> int | None:
+        """Return the approximate number of nodes of the mesh; None if the case does not set it."""
+        return None
+
+    def canonical(self, genes: Mapping[str, float]) -> dict[str, float]:
+        """Return the parameters in canonical form, equal for equal models."""
+        return dict(genes)
+
+    def identifiable(self, searched: Collection[str]) -> Identifiable:
+        """Return the level of identifiability: stiffnesses, or only their ratios.
+
+        Parameters
+        ----------
+        searched : collection of str
+            Internal names of the parameters that are not held.
+        """
+        return "absolute"
+
+    def common_scale(self, searched: Sequence[str]) -> tuple[str, ...]:
+        """Return the searched stiffnesses whose common scale factor has no effect.
+
+        Only their ratios are identifiable. None by default.
+
+        Parameters
+        ----------
+        searched : sequence of str
+            Internal names.
+        """
+        return ()
+
+    def unused_parameter(self, name: str) -> str:
+        """Return the reason why a parameter cannot be searched in this case, or ""."""
+        return ""
+
+
+class TargetSpec(Door):
+    """Deformed body to match: simulated with hidden constants, or imaged."""
+
+    constants: dict[str, float] | None = None
+
+    @property
+    def is_image(self) -> bool:
+        """Whether the deformed body was imaged, not simulated."""
+        return self.constants is None
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether an image is first aligned with the undeformed body."""
+        return False
+
+
+class ScoreSpec(Door):
+    """Compared parts, and the search's objective: the base of every organ's score.
+
+    ``objective`` names a score of `workers.comparison.score_objective`.
+    """
+
+    later_keys: ClassVar[tuple[str, ...]] = ("objective",)
+
+    objective: Annotated[str, Field(description="the score that the search optimises")] = (
+        DEFAULT_OBJECTIVE
+    )
+
+    @field_validator("objective")
+    @classmethod
+    def _is_a_score(cls, name: str) -> str:
+        return checked_name("scores", name)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Return the names of the compared parts, as used by `Organ.scores_by_part`."""
+        return ()
+
+    @property
+    def compared(self) -> str:
+        """Return the compared parts in words, such as ``glandular tissue``."""
+        return " and ".join(self.parts)
+
+    @property
+    def extent(self) -> tuple[str, str]:
+        """Return the organ's words for overlap and distance."""
+        return "area", "contours"
+
+
+Record = TypeVar("Record", bound=BaseModel)
+
+
+def validated(model: type[Record], data: Any, where: str = "") -> Record:
+    """Validate `data` as a `model`.
+
+    Parameters
+    ----------
+    model : type
+        Record of this module, or of the study.
+    data : mapping
+        Content of YAML or JSON.
+    where : str, optional
+        Name of the file, for the message.
+
+    Raises
+    ------
+    InputError
+        If any key is invalid; lists each with the value found and the value expected.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        keys = model.record_for(data) if issubclass(model, Door) else model
+        raise InputError(f"{_head(error, where or 'This')}:\n{explain(error, keys)}") from error
+
+
+def _head(error: ValidationError, where: str) -> str:
+    if all(is_missing(e) for e in errors_with_pairs(error, BaseModel)):
+        return f"{where} is not finished. Fill in what is missing"
+    return f"{where} does not make sense"
+
+
+def explain(error: ValidationError, model: type[BaseModel] = BaseModel) -> str:
+    """Return one line per invalid key: its path, the expected value and the value found.
+
+    `model` describes missing keys.
+
+    Examples
+    --------
+    >>> class Load(Door):
+    ...     force_n: Positive
+    >>> try:
+    ...     Load.model_validate({"force_n": -3})
+    ... except ValidationError as error:
+    ...     print(explain(error))
+      force_n: Input should be greater than 0, found -3
+    """
+    return "\n".join(_line(e, model) for e in errors_with_pairs(error, model))
+
+
+# Lists that refer to lists can exhaust memory when expanded.
+_SHORT = reprlib.Repr()
+_SHORT.maxdict = _SHORT.maxlist = _SHORT.maxtuple = 10
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother = 3, 60, 60
+
+
+# Pydantic's words for lists and mappings are those of Python, not of YAML.
+_EXPECTED = {
+    "model_type": "expected keys with values",
+    "dict_type": "expected keys with values",
+    "tuple_type": "expected a list in brackets, such as [5, 20]",
+    "list_type": "expected a list in brackets, such as [1, 2]",
+}
+
+
+def _line(error: Mapping[str, Any], model: type[BaseModel]) -> str:
+    # A part such as "tuple[float, float]" is one of the forms that a value may have.
+    parts = [str(part) for part in error["loc"]]
+    path = ".".join(part for part in parts if not part.startswith(("constrained-", "tuple[")))
+    start = f"  {path}: " if path else "  "
+    if is_missing(error):
+        text = missing_text(error, model)
+        return f"{start}{text}"
+    if error["type"] == "value_error":
+        return f"{start}{error['ctx']['error']}"
+    limits = error.get("ctx") or {}
+    if error["type"] == "too_long" and "max_length" in limits:
+        expected = f"expected at most {limits['max_length']} values"
+    elif error["type"] == "too_short" and "min_length" in limits:
+        least = limits["min_length"]
+        expected = f"expected at least {least} value{'s' if least > 1 else ''}"
+    else:
+        expected = _EXPECTED.get(error["type"], error["msg"])
+    input_text = _SHORT.repr(error["input"])
+    input_text = input_text if len(input_text) <= 60 else f"{input_text[:57]}..."
+    return f"{start}{expected}, found {input_text}"

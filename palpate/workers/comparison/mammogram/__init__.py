@@ -1,1 +1,0 @@
-"""Cone-beam mammograms of labelled voxels (thesis section 4.4)."""

@@ -1,1 +1,0 @@
-"""Similarity scores of two volumes."""

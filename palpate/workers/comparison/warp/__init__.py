@@ -1,1 +1,0 @@
-"""Images deformed by displacements."""

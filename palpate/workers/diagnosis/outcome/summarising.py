@@ -1,0 +1,398 @@
+"""Summary of a diagnosis in plain numbers; `diagnosis.schema.summary` has the schema."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from palpate.storage.values import FloatArray
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.fits.gauss_newton import Fit
+from palpate.workers.diagnosis.linearisation import LinearFit, Linearised, Registration
+from palpate.workers.diagnosis.outcome.averaged_posteriors import draw_gaps, parameter_posterior
+from palpate.workers.diagnosis.outcome.diagnosis_summary import (
+    ConstantEstimate,
+    EffectSummary,
+    GapEstimate,
+    GapShrinkage,
+    GapSummary,
+    InterfaceNoise,
+    JointFitSummary,
+    ParameterEstimate,
+    RegionGap,
+    ShareEstimate,
+    Summary,
+)
+from palpate.workers.diagnosis.outcome.gap_and_shrinkage import (
+    Comparison,
+    Gap,
+    Shrinkage,
+    gap,
+    region_gap,
+)
+from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, InverseProblem
+from palpate.workers.diagnosis.problem.planned_acquisition import INTERFACES
+from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis
+from palpate.workers.diagnosis.verdict.verdict import NO_GAP
+from palpate.workers.mechanics.effects.effect import Effect, one_sided
+from palpate.workers.mechanics.model_parameters import KPA, Parameter, shown
+
+# Number of standard deviations on either side of the mean that contain 90 % of a normal
+# distribution.
+DEVIATIONS_90 = 1.6449
+
+
+def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Summary:
+    """Summarise a diagnosis in plain numbers.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    effects : sequence of Effect
+        The catalogue.
+    case : str
+        Name of the case.
+    """
+    reached, analysis = diagnosis.verdict, diagnosis.analysis
+    acting, registered = analysis.sensitivity_by_name, _registered(diagnosis)
+    return Summary(
+        case=case,
+        verdict=reached.kind,
+        primary=reached.primary,
+        effects=tuple(_effect(diagnosis, e) for e in effects if e.name in acting),
+        set90=reached.set90,
+        families=reached.families,
+        absorbed=reached.hidden,
+        no_gap_probability=reached.no_gap,
+        none_of_these_probability=reached.none_of_these,
+        alarm=reached.alarm,
+        threshold=reached.threshold,
+        explained_share=reached.explained_share,
+        gap_mm=_gap_mm(diagnosis, registered),
+        where=tuple(_where(diagnosis.analysis.inverse, registered)),
+        constants=_constants(diagnosis),
+        refits=tuple(_joint_fit(diagnosis, names) for names in diagnosis.joint_fits),
+        points=len(analysis.inverse.points),
+        left_out=analysis.inverse.left_out,
+        noise=_noise(analysis.inverse),
+    )
+
+
+def _noise(inverse: InverseProblem) -> tuple[InterfaceNoise, ...] | None:
+    """Return the segmentation noise of each interface; None if the noise was measured."""
+    if inverse.learnt is None or not inverse.is_segmented:
+        return None
+    parts, stated = inverse.learnt.parts, inverse.noise.sd_mm
+    scales = inverse.learnt.states[0].scales
+    noises = []
+    for number, (interface, scale) in enumerate(zip(INTERFACES, scales, strict=False)):
+        sd_mm = stated * scale * parts.factors[parts.groups == number]
+        ends = float(sd_mm.min()), float(sd_mm.max())
+        noises.append(InterfaceNoise(interface.name, stated, float(stated * scale), *ends))
+    return tuple(noises)
+
+
+def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
+    screened = diagnosis.analysis.screening_by_name[effect.name]
+    best = diagnosis.best
+    names = best.names if best is not None and effect.name in best.names else (effect.name,)
+    parameters = _parameters(diagnosis, effect, names)
+    lead = max(parameters[: effect.size_count], key=_in_deviations)
+    return EffectSummary(
+        name=effect.name,
+        family=effect.family,
+        summary=effect.summary,
+        probability=diagnosis.verdict.probabilities.get(effect.name, 0.0),
+        magnitude=lead.magnitude,
+        sd=lead.sd,
+        unit=lead.unit,
+        parameters=tuple(parameters),
+        log_bayes_factor=screened.log_bayes_factor,
+        absorbed_share=screened.absorbed,
+        refitted=names in diagnosis.joint_fits,
+        shown=lead.shown,
+    )
+
+
+def _parameters(
+    diagnosis: Diagnosis, effect: Effect, names: tuple[str, ...]
+) -> list[ParameterEstimate]:
+    """Return the parameters from the joint fit of `names`, or else from the screening.
+
+    Positions are in the coordinates of the scans.
+    """
+    analysis, fitted = diagnosis.analysis, diagnosis.joint_fits.get(names)
+    posterior = fitted and parameter_posterior(
+        analysis.coarse_noise, analysis.hypothesis(fitted.fit), fitted.fit.unknowns
+    )
+    screened = analysis.screening_by_name[effect.name]
+    centre_mm = analysis.inverse.frame.centre_mm
+    positions = {} if effect.place is None else effect.place.positions_mm(centre_mm)
+    needs_nu = any(p.reading.kind == "poisson" for p in effect.parameters)
+    nu = _poissons_ratio(diagnosis) if needs_nu else None
+    estimates = []
+    for i, parameter in enumerate(effect.parameters):
+        if fitted and posterior:
+            index = fitted.fit.unknowns.names.index(parameter.name)
+            value, sd = float(posterior.mean[index]), float(posterior.sd[index])
+        elif i < len(screened.estimate):
+            value, sd = float(screened.estimate[i]), float(screened.estimate_sd[i])
+            if one_sided(parameter):
+                value = max(value, effect.neutral[parameter.name])
+        else:
+            continue
+        name, origin = positions.get(parameter.name, (parameter.door_name, 0.0))
+        is_size = i < effect.size_count
+        estimate = _estimate_of(parameter, origin + value, sd, nu, is_size=is_size)
+        estimates.append(replace(estimate, parameter=name))
+    return estimates
+
+
+def _estimate_of(
+    parameter: Parameter, value: float, sd: float, nu: float | None, *, is_size: bool
+) -> ParameterEstimate:
+    """Return a parameter in external units; the location of an effect has no neutral value."""
+    unit = parameter.unit
+    at_door, spread = unit.to_door(value), unit.to_door(sd)
+    neutral = unit.to_door(parameter.neutral or 0.0)
+    least = neutral if one_sided(parameter) else -math.inf
+    read = shown(parameter.reading, at_door, spread, neutral, unit.symbol, nu, least)
+    if not is_size:
+        read = replace(read, neutral=None)
+    return ParameterEstimate(parameter.door_name, at_door, spread, unit.symbol, read)
+
+
+def _poissons_ratio(diagnosis: Diagnosis) -> float | None:
+    """Return the nominal nu; None if tissues differ or the problem has none."""
+    analysis = diagnosis.analysis
+    problem = analysis.inverse.scans[0].problem(analysis.nominal.values())
+    tissues = getattr(problem, "constants", {}).values()
+    found = {constants.poisson for constants in tissues}
+    return found.pop() if len(found) == 1 else None
+
+
+def _in_deviations(parameter: ParameterEstimate) -> float:
+    return abs(float(parameter.magnitude)) / max(float(parameter.sd), 1e-12)
+
+
+def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
+    analysis, best = diagnosis.analysis, diagnosis.best
+    inverse = analysis.inverse
+    drawn = draw_gaps(
+        analysis,
+        {names: joint_fit.fit for names, joint_fit in diagnosis.joint_fits.items()},
+        diagnosis.verdict.hypotheses,
+        None if best is None else best.fit,
+        SETTINGS.gap.undrawn * _meshed_mm(inverse),
+    )
+    noise_mm = gap(registered, inverse.is_place).noise_mm
+    floor_mm = _floor_mm(inverse, analysis.linear)
+    before = _drawn_gap(drawn.before_mm, noise_mm, len(drawn.before))
+    fitted_mm, undeformed_mm = _distances_mm(
+        inverse, analysis.nominal if best is None else best.fit
+    )
+    alone = GapSummary(
+        before,
+        noise_mm,
+        floor_mm,
+        None,
+        None,
+        None,
+        fitted_mm=fitted_mm,
+        undeformed_mm=undeformed_mm,
+    )
+    if best is None or drawn.after_mm is None:
+        return alone
+    after = _drawn_gap(drawn.after_mm, noise_mm, len(drawn.before))
+    share = ShareEstimate(
+        1.0 - after.gap_mm**2 / before.gap_mm**2,
+        *_interval(1.0 - drawn.after_mm**2 / drawn.before_mm**2),
+    )
+    fits = analysis.linear_with_poses, best.fit.linearised_with_poses(inverse)
+    seed, poses = SETTINGS.gap.seed, inverse.nuisance_count
+    place = inverse.is_place
+    comparison = Comparison(*fits, seed, floor_mm=floor_mm, registered=poses, judged=place)
+    inside = replace(alone, after=after, share=share)
+    return known_shares(_with_held_out(inside, inverse, comparison), diagnosis.verdict.set90)
+
+
+def _distances_mm(inverse: InverseProblem, fit: Fit) -> tuple[float, float]:
+    """Return the distances from the scans to a fit and to the body at rest; see `GapSummary`."""
+    rest = [
+        scan.compare(inverse.followed(scan).points, inverse.points)[0] for scan in inverse.scans
+    ]
+    fitted = [one.residual for one in fit.predictions]
+
+    def rms(residuals: list[FloatArray]) -> float:
+        return float(np.sqrt(np.mean(np.concatenate(residuals)[inverse.is_place] ** 2)))
+
+    return rms(fitted), rms(rest)
+
+
+def _drawn_gap(draws_mm: FloatArray, noise_mm: float, points: int) -> GapEstimate:
+    return GapEstimate(float(draws_mm.mean()), *_interval(draws_mm), noise_mm, points)
+
+
+def _interval(draws: FloatArray) -> tuple[float, float]:
+    level = SETTINGS.gap.level
+    low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
+    return float(low), float(high)
+
+
+def known_shares(found: GapSummary, set90: Sequence[str]) -> GapSummary:
+    """Omit the shares if there may be no gap, because its shrinkage is then undefined."""
+    return replace(found, share=None, held_out_share=None) if NO_GAP in set90 else found
+
+
+def _registered(diagnosis: Diagnosis) -> LinearFit:
+    """Return the nominal fit with the scan poses that follow from the most probable cause.
+
+    An unlisted cause is represented by a smooth field; otherwise a tilted plate would be mistaken
+    for a rotated scan.
+    """
+    analysis = diagnosis.analysis
+    inverse, nominal = analysis.inverse, analysis.linear_with_poses
+    poses = inverse.nuisance_count
+    if not poses or diagnosis.verdict.kind == "no-gap":
+        return LinearFit(nominal)
+    best = diagnosis.best
+    if best is not None:
+        causes = best.fit.linearised_with_poses(inverse)
+    else:
+        field = analysis.field
+        causes = Linearised(
+            nominal.residual,
+            np.hstack([field, nominal.nominal]),
+            np.append(np.ones(field.shape[1]), nominal.nominal_sd),
+            np.append(np.zeros(field.shape[1]), nominal.nominal_offset),
+            nominal.covariance_factor,
+        )
+    where = Registration.by(LinearFit(causes), poses, nominal.residual)
+    return LinearFit(nominal, registration=where)
+
+
+def _with_held_out(
+    inside: GapSummary, inverse: InverseProblem, comparison: Comparison
+) -> GapSummary:
+    """Add the gap of each scan under a fit to the others."""
+    if len(inverse.scans) < 2:
+        return replace(inside, held_out="one scan only")
+    whole, parts = comparison.unseen(inverse.rows)
+    by_name = dict(zip((scan.name for scan in inverse.scans), parts, strict=True))
+    inside = replace(inside, not_judged=tuple(n for n, part in by_name.items() if part is None))
+    if whole is None:
+        return replace(inside, held_out="no scan is held by a fit to the others")
+    judged = _compared(whole)
+    return replace(
+        inside,
+        held_out_before=judged.before,
+        held_out_after=judged.after,
+        held_out_share=judged.share,
+        held_out="each scan judged by a fit to the others",
+        held_out_each={n: _compared(part) for n, part in by_name.items() if part is not None},
+    )
+
+
+def _floor_mm(inverse: InverseProblem, nominal: Linearised) -> float:
+    """Return the error that even the true model has; without it, gaps near zero would be too small.
+
+    It combines the fitted noise, the remaining mesh error (taken equal to the correction by a finer
+    mesh), the segmentation error of the meshed body, and a factor for unknown contributions.
+    """
+    fitted = LinearFit(nominal, judge=inverse.is_place)
+    whole = np.hypot(fitted.floor_mm, _meshed_mm(inverse))
+    return SETTINGS.gap.floor_factor * float(whole)
+
+
+def _meshed_mm(inverse: InverseProblem) -> float:
+    """Return the known error common to all models, due to mesh and segmentation of the body."""
+    mesh = np.sqrt((inverse.bias[inverse.is_place] ** 2).mean())
+    drawn = SETTINGS.gap.drawn_noises * inverse.noise.reference_sd_mm
+    return float(np.hypot(mesh, drawn))
+
+
+def _where(inverse: InverseProblem, fit: LinearFit) -> Iterator[RegionGap]:
+    own = np.tile(inverse.points.interface, len(inverse.scans))
+    z = np.tile(inverse.frame.normalised(inverse.points.points)[:, 2], len(inverse.scans))
+    depths = {
+        "all": np.ones(len(z), bool),
+        "chest wall third": z < -1 / 3,
+        "middle third": abs(z) <= 1 / 3,
+        "nipple third": z > 1 / 3,
+    }
+    for number, scan in enumerate(inverse.scans):
+        for interface, boundary in enumerate(INTERFACES):
+            rows = (inverse.rows == number) & (own == interface)
+            for region, inside in depths.items():
+                chosen = rows & inside
+                if chosen.sum() >= SETTINGS.gap.fewest_residuals:
+                    yield region_gap(fit, chosen, scan.name, boundary.name, region)
+
+
+def _constants(diagnosis: Diagnosis) -> dict[str, ConstantEstimate]:
+    nominal, best = diagnosis.analysis.nominal, diagnosis.best
+    before = nominal.values()
+    after = best.fit.values() if best is not None else {}
+    ends_before = _intervals(diagnosis, nominal)
+    ends_after = {} if best is None else _intervals(diagnosis, best.fit)
+    converged = (nominal if best is None else best.fit).converged
+    is_in_law = best is not None and any(effect.is_in_law for effect in best.effects)
+    constants = {}
+    for free in diagnosis.analysis.inverse.free:
+        to_door = free.unit.to_door
+        constants[free.unit.name_at_door(free.name)] = ConstantEstimate(
+            to_door(before[free.name]),
+            to_door(after[free.name]) if free.name in after else None,
+            _at_door(free, ends_before.get(free.name)),
+            _at_door(free, ends_after.get(free.name)),
+            (to_door(free.lower), to_door(free.upper)),
+            converged,
+            True if is_in_law and free.unit == KPA else None,
+        )
+    return constants
+
+
+def _at_door(free: FreeConstant, ends: tuple[float, float] | None) -> tuple[float, float] | None:
+    return None if ends is None else (free.unit.to_door(ends[0]), free.unit.to_door(ends[1]))
+
+
+def _intervals(diagnosis: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:
+    """Return the 90 % intervals of the constants of a fit, in internal units.
+
+    They cover both the optimum of the fit and the mean of the posterior, which averages over
+    uncertain noise and poses. For scans they include the difference between solvers.
+    """
+    analysis = diagnosis.analysis
+    solver_sd = SETTINGS.mesh.stiffness_sd if analysis.inverse.is_segmented else 0.0
+    posterior = parameter_posterior(analysis.coarse_noise, analysis.hypothesis(fit), fit.unknowns)
+    intervals = {}
+    for i, free in enumerate(fit.unknowns.free):
+        middle, here = float(posterior.mean[i]), float(fit.z[i])
+        between = solver_sd if free.unit == KPA else 0.0
+        reach = DEVIATIONS_90 * float(np.hypot(posterior.sd[i], between))
+        low, high = min(middle, here) - reach, max(middle, here) + reach
+        intervals[free.name] = (float(np.exp(low)), float(np.exp(high)))
+    return intervals
+
+
+def _joint_fit(diagnosis: Diagnosis, names: tuple[str, ...]) -> JointFitSummary:
+    hypothesis = next(h for h in diagnosis.hypotheses if h.effects == names)
+    nothing = next(h for h in diagnosis.hypotheses if not h.effects)
+    fit = diagnosis.joint_fits[names].fit
+    return JointFitSummary(
+        effects=names,
+        log_evidence_gain=hypothesis.log_evidence - nothing.log_evidence,
+        field_gain=hypothesis.discrepancy_gain,
+        converged=fit.converged,
+        values=fit.values(),
+    )
+
+
+def _compared(found: Shrinkage) -> GapShrinkage:
+    share = ShareEstimate(found.share, found.low, found.high)
+    return GapShrinkage(_estimate(found.before), _estimate(found.after), share)
+
+
+def _estimate(found: Gap) -> GapEstimate:
+    return GapEstimate(found.gap_mm, found.low_mm, found.high_mm, found.noise_mm, found.points)

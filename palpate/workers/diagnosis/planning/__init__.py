@@ -1,1 +1,0 @@
-"""Planning of scans, based on their expected information."""

@@ -1,1 +1,0 @@
-"""Thin sheets in plane stress: 6-node triangles, any law, in their plane or inflated."""

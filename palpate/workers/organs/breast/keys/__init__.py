@@ -1,1 +1,0 @@
-"""Keys of the parts of a study of a breast."""

@@ -1,1 +1,0 @@
-"""Keys of the parts of a bench experiment."""

@@ -1,1 +1,0 @@
-"""Thin sheets as bodies of experiments."""

@@ -20,9 +20,8 @@ from palpate.service.report.study.study_page import write_report
 from palpate.service.results.results_as_json import evaluation_columns
 from palpate.service.results.study_comparison import StudyComparison, compare_studies
 from palpate.service.run_study import Entrance, run_study
-from palpate.service.search.space_filling import design_columns
 from palpate.service.simulation.candidate_batch import BatchProgress, evaluate_batch, plan_batch
-from palpate.service.simulation.candidate_tables import Evaluations
+from palpate.service.simulation.candidate_tables import Evaluations, design_columns
 from palpate.service.study.loop import Study as StudyLoop
 from palpate.service.study.study_events import Observer
 from palpate.service.study.study_folder import read_study

@@ -31,7 +31,7 @@ class FrozenDiagnosis:
     code : str
         Digest of all source that a diagnosis depends on.
     settings : mapping
-        All of `diagnosis.settings.values`, by its groups, and the ``effects`` with their priors.
+        All of `diagnosis_settings`, by its groups, and the ``effects`` with their priors.
     settings_digest : str
         Digest of the settings.
     """

@@ -303,7 +303,7 @@ class Seals(TypedDict):
     """The seals behind the score of a set.
 
     ``set`` is its name, ``manifest`` and ``answers`` are hashes, ``diagnosis`` is the one that
-    answered (see `blind.sealed.sealed_settings`), ``declared`` is the reason if it is not the
+    answered (see `sealed_diagnosis`), ``declared`` is the reason if it is not the
     sealed one, and ``directions`` are the scans that it received.
     """
 

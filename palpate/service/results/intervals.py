@@ -1,9 +1,7 @@
 r"""Intervals of the constants: the local model of the fit, and the errors that widen them.
 
-Errors of the fitted constants other than the noise of the image.
-
-The best candidate is also evaluated with its derivatives with respect to the nuisance parameters,
-and on a mesh of another size. A group b of nuisance parameters, :math:`b \sim N(0, P)`, shifts the
+Errors other than the noise of the image: the best candidate is also evaluated with its derivatives
+by the nuisance parameters, and on a mesh of another size. A group b of nuisance parameters, :math:`b \sim N(0, P)`, shifts the
 constants by :math:`-A^{-1} B b`, with the blocks A, B and D of J'J. Its posterior and its log Bayes
 factor are
 
@@ -19,10 +17,8 @@ The mesh error is estimated by the Gauss step between the two meshes. One shift 
 from a distribution with the same relative width for all constants, so half of its square is
 averaged over the constants in units of their noise.
 
-Intervals and posterior of the constants, from the least-squares problem near the best candidate.
-
-The local model has the covariance, the directions and the interval ends;
-`service.results.identification` has the formulas and their interpretation.
+The local model is the least-squares problem near the best candidate. It has the covariance, the
+directions and the interval ends; `service.results.identification` has the formulas and their interpretation.
 
 The reported intervals are the central 90 % of the posterior. In the coordinates of the local model
 the errors of all sources are normal, with the covariance :math:`\Sigma`. The interval of

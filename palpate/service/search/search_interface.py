@@ -1,10 +1,7 @@
 """What every search shares: its box, the coordinates it works in, and when it stops.
 
-The searched box, and the search interface: a fold over the finished generations.
-
-A box has the names and bounds of the free parameters.
-
-::
+A box has the names and bounds of the free parameters. A search is a fold over the finished
+generations::
 
     history = []
     while isinstance(proposal := search.propose(history), Proposal):
@@ -16,14 +13,11 @@ seed and the history, so a study resumed from its journal continues as if it had
 stopped. A candidate is identified by its index in the generation; the order in which scores
 arrive is not recorded.
 
-Searching and fitting on the logarithms of parameters.
-
 A fit uses the logarithm of every constant that cannot be zero; any other search, of the
 parameters that its settings name.
 
-Rules that end a search: no more improvement, a score reached, a number of evaluations.
-
-The rules for a search that no longer improves consider the best scores ``B`` of the last ``n``
+A search ends when it no longer improves, at a score, or after a number of evaluations. The rules
+for a search that no longer improves consider the best scores ``B`` of the last ``n``
 steps between generations, which takes ``n + 1`` generations:
 
 relative (MATLAB's ``ga`` today)

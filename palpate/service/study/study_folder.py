@@ -1,12 +1,9 @@
-"""The folder of a study: its journal, its lock and its files.
+"""The folder of a study: creation, checks that it belongs to the same study, and its journal.
 
-The journal of a study, read as a whole, and the generations in it.
-
-Reading never runs the search, so a study stays readable if the search, or a library that it
-uses, has changed. Journals of earlier versions do not record proposals; their generations are
-reconstructed from the endings, without the candidates that were carried over.
-
-The folder of a study: creation, and checks that it belongs to the same study.
+The journal is read as a whole, with the generations in it. Reading never runs the search, so a
+study stays readable if the search, or a library that it uses, has changed. Journals of earlier
+versions do not record proposals; their generations are reconstructed from the endings, without the
+candidates that were carried over.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Sessions: workers are opened for one piece of work, stopped by Ctrl-C, and closed.
 
 A session sends the records of its study to the cluster's scheduler as events, for
-`cluster.dask_tab`.
+`cluster.dask_dashboard`.
 """
 
 import asyncio

@@ -102,7 +102,7 @@ SAG_ARM_MM = 50.0
 TOUCH_MM = 0.3  # the plates start a little closer than the body, so that they touch it
 FRICTION_STEPS = 3
 STEPS = (1, 4, 12)  # without friction, tried one after the other
-# Like `newton.FORCE_TOLERANCE`, but with friction: at the loads, and at steps between them.
+# Like `plate_equilibrium.FORCE_TOLERANCE`, with friction: at the loads, and between them.
 FRICTION_TOLERANCE, FRICTION_TOLERANCE_BETWEEN = 3e-4, 1.5e-3
 IN_AXES = {"y": ((1, 0, 0), (0, 0, 1), (0, 1, 0)), "x": ((0, -1, 0), (0, 0, 1), (1, 0, 0))}
 

@@ -1,14 +1,11 @@
-"""How alike two voxel sets are: Jaccard, Hausdorff, the GSF, and the coefficients of the thesis.
+"""How alike two sets of voxels are: Jaccard, Hausdorff, GSF, and the thesis' coefficients.
 
-Similarity scores between a candidate and the target, as defined in the thesis.
+The score of a candidate is the overlap of two sets of voxels (thesis Eqs. 3.17 and 3.18), the
+modified Hausdorff distance to a fixed target (D22) and the geometric similarity function, GSF,
+which the search minimises.
 
-Overlap of two sets of voxels (Eqs. 3.17 and 3.18), the modified Hausdorff distance to a fixed
-target (D22), and the geometric similarity function, GSF, which the search minimises.
-
-The 28 similarity coefficients of one comparison (thesis section 3.3.2), and the GSF.
-
-The directed distances d1 to d6 between two sets of voxels are Eqs. 3.20 to 3.25 of the thesis,
-the 24 modified Hausdorff distances Eqs. 3.20 to 3.29 and Table 3.1.
+The 28 coefficients that thesis section 3.3.2 compares are these and 24 modified Hausdorff
+distances (Eqs. 3.20 to 3.29 and Table 3.1), made of the directed distances d1 to d6.
 """
 
 import math

@@ -12,7 +12,7 @@ Model errors of two states of a body are correlated, but not fully: plates that 
 direction touch and bend other parts of the body, where a mesh error or a missing cause produces a
 different displacement.
 
-The seal of a blind set contains this whole value; see `blind.sealed.sealed_settings`. Constants
+The seal of a blind set contains this whole value; see `sealed_diagnosis`. Constants
 that only affect drawings are in `workers.diagnosis.outcome`.
 """
 

@@ -1,6 +1,6 @@
 """Schema of a plan in plain numbers, as printed by `palpate plan --json`.
 
-Frozen dataclasses, used by the report and the commands; `records.typed_json` writes and reads them.
+Frozen dataclasses, used by the report and the commands; `json_digests` writes and reads them.
 """
 
 from collections.abc import Mapping

@@ -1,16 +1,12 @@
-"""The part of the store that tasks fill: bodies, meshes and prepared models.
+"""The part of the store that tasks fill: bodies, meshes, and results under their digest.
 
-Results of tasks: a record and arrays under the digest of everything they depend on.
+The record and the arrays of a task are named after everything that they depend on. A part is
+written completely or not at all, so a name exists only once its part is finished, and the same name
+means the same content everywhere. Records are frozen dataclasses; see `storage.json_digests`.
 
-A part is written completely or not at all, so a name exists only once its part is finished, and the
-same name means the same content everywhere. Records are frozen dataclasses; see
-`storage.records.typed_json`.
-
-Bodies, meshes and data derived from them, by digest: made once, cached in each process.
-
-A body or a mesh is named after its content. A small record maps the digest of a request, and of the
-code that fulfils it, to that content; so a code change that leaves the content unchanged makes
-nothing else stale.
+A body or a mesh is made once, cached in each process, and named after its content. A small record
+maps the digest of a request, and of the code that fulfils it, to that content; so a code change
+that leaves the content unchanged makes nothing else stale.
 """
 
 import threading

@@ -1,15 +1,11 @@
-"""Phantoms of the thesis: which ones, and how they are pressed.
+"""The ten phantoms of the thesis: their scales, how they are pressed, and what is searched on them.
 
-The scales of the experiments, the ten phantoms, and the searches for their constants.
+The phantoms are of thesis sections 4.4 and 4.5. They are compressed on homogeneous and adaptive
+meshes (Table 4.3), and one of them is imaged on both (Fig. 4.18).
 
-The phantoms are of thesis sections 4.4 and 4.5. The searches of section 4.5 have bodies, targets
-and bounds: the thesis assigns target X1 to phantoms 1 to 5 and X2 to phantoms 6 to 10, both without
-skin, and X3, with skin, to phantoms 1 to 5 again.
-
-Phantoms compressed on homogeneous and adaptive meshes, and their mammograms.
-
-Thesis section 4.4: Table 4.3 for the compressions, Fig. 4.18 for the mammograms of one phantom
-compressed on two meshes.
+The searches of section 4.5 have bodies, targets and bounds: the thesis assigns target X1 to
+phantoms 1 to 5 and X2 to phantoms 6 to 10, both without skin, and X3, with skin, to phantoms 1 to 5
+again.
 """
 
 import time

@@ -65,13 +65,16 @@ def evaluate(
         scheduler, processes = cluster_options(scheduler, workers)
         from palpate.service.commands.named_study import load_spec
         from palpate.service.commands.terminal_tables import progress_console
-        from palpate.service.search.space_filling import design_columns
         from palpate.service.simulation.candidate_batch import (
             BatchProgress,
             evaluate_batch,
             plan_batch,
         )
-        from palpate.service.simulation.candidate_tables import check_table_suffix, read_table
+        from palpate.service.simulation.candidate_tables import (
+            check_table_suffix,
+            design_columns,
+            read_table,
+        )
         from palpate.service.study.study_session import session
 
         table, study = _table_and_study(paths, design)

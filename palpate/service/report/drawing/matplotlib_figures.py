@@ -1,10 +1,7 @@
-"""Figures by Matplotlib: a canvas in the style of the pages, and the corner plot of a posterior.
+"""Reproducible Matplotlib figures without global state: no pyplot, no display.
 
-Reproducible matplotlib figures without global state: no pyplot, no display.
-
-Text is kept as text in the fonts of the page, so figures are sharp at any size.
-
-Corner plots: every constant on the diagonal, every pair of them below it.
+Text is kept as text in the fonts of the page, so figures are sharp at any size. A corner plot has
+every constant on the diagonal, and every pair of them below it.
 """
 
 import io

@@ -1,14 +1,10 @@
-"""Charts as SVG, and the panels on which sections are drawn.
-
-Charts as inline SVG.
+"""Charts as inline SVG, and panels that show a region of space to scale, with axes in mm.
 
 Colours are classes of the page's style sheet, so charts follow light and dark mode; text stays
 text. A curve takes a few hundred bytes and a chart about a millisecond, so a running study can
 rewrite its page often.
 
-Panels that show a region of space to scale, with axes in mm, and contours in them.
-
-Contours run halfway between the pixels of a mask and their neighbours outside.
+Contours in a panel run halfway between the pixels of a mask and their neighbours outside.
 """
 
 import math

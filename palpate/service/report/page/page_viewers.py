@@ -1,11 +1,7 @@
-"""What the two viewers of a page show: slices of volumes, and turning bodies.
+"""What the two viewers of a page show; `scripts/slices.js` and `scripts/body.js` draw it.
 
-Data of the slice viewer of a page; see scripts/slices.js.
-
-Data of the 3-D viewer of a page; see scripts/body.js.
-
-They are surfaces at rest and under load, their colours, and the loads on the body: plates, arrows
-of their forces, the chest wall.
+The slice viewer shows volumes. The other turns a body: surfaces at rest and under load, their
+colours, and the loads: plates, arrows of their forces, the chest wall.
 """
 
 import math

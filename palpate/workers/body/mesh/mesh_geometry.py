@@ -1,8 +1,9 @@
-"""Geometry of tetrahedral meshes: quality, boundary, incidence.
+"""Geometry of tetrahedral meshes: quality, elements around nodes, order of nodes, boundaries.
 
-Quality measures of tetrahedra.
+Nodes are numbered so that spatial neighbours are close in memory. The boundary consists of the
+free surface and the wall.
 
-Every measure is 1 for the regular tetrahedron. M1..M4 and M5 are in [0, 1]; the
+Every measure of quality is 1 for the regular tetrahedron. M1..M4 and M5 are in [0, 1]; the
 aspect ratio grows without bound as a tetrahedron degrades.
 
 ========  ====================================================================
@@ -17,11 +18,6 @@ aspect    longest edge / shortest altitude / 1.2247
 References: Parthasarathy, Graichen and Hathaway, "A comparison of tetrahedron
 quality measures", Finite Elem. Anal. Des. 15 (1994); Liu and Joe, "Relationship
 between tetrahedron shape measures", BIT 34 (1994).
-
-Neighbours in a tetrahedral mesh: elements around nodes, order of nodes, boundaries and areas.
-
-Nodes are numbered so that spatial neighbours are close in memory. The boundary consists of the
-free surface and the wall.
 """
 
 from typing import TypedDict

@@ -59,7 +59,7 @@ class LinearHypothesis:
     is_pose : ndarray of bool, shape (p,)
         Whether a column is a motion of a scan; its prior deviation is averaged over.
     at_bound : ndarray of int, shape (p,), optional
-        Bounds at which parameters were stopped; see `diagnosis.algebra.evidence.log_marginal`.
+        Bounds at which parameters were stopped; see `laplace_evidence.log_marginal`.
     """
 
     residual: FloatArray

@@ -1,6 +1,6 @@
 """Schema of a diagnosis in plain numbers, as printed by `palpate diagnose --json`.
 
-Frozen dataclasses, used by the report, the commands and the blind scores; `records.typed_json`
+Frozen dataclasses, used by the report, the commands and the blind scores; `json_digests`
 writes and reads them. Lengths are in mm, constants in kPa; parameters of effects are stored with
 their units. The first ones belong to bench experiments alone: points, forces, predicted states.
 """

@@ -1,4 +1,4 @@
-"""Summary of a diagnosis in plain numbers; `diagnosis.schema.summary` has the schema."""
+"""Summary of a diagnosis in plain numbers; `diagnosis_summary` has the schema."""
 
 import math
 from collections.abc import Iterator, Sequence

@@ -7,7 +7,7 @@ resemble it; the probability that they do grows with the field's share of the ev
 "none of these".
 
 1. No gap, if that is the most probable cause. An effect hidden by the nominal parameters (see
-   `diagnosis.screening.detectability.hides`) has at least its prior probability relative to no
+   `effect_screening.hides`) has at least its prior probability relative to no
    gap, and counts towards it: these scans cannot show it, and it is neither named nor ruled out.
    Together with a visible effect, it counts towards that effect.
 2. None of these, if that is the most probable cause.

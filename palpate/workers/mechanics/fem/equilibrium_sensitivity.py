@@ -49,7 +49,7 @@ def tangents(
         Converged.
     changes : sequence of Change
     tolerance : float
-        Relative error of the linear solves; see `conjugate_gradients.solve_many`.
+        Relative error of the linear solves; see `krylov_solvers.solve_many_by_cg`.
 
     Returns
     -------

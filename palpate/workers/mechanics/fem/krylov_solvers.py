@@ -214,7 +214,7 @@ def solve_many_by_block_cg(operator: Operator, b: FloatArray, tolerance: float) 
     """Solve for each of `b`, (k, n, 3), to a relative error, in full blocks of `LANES`.
 
     The remainder, and blocks that meet negative curvature, are solved by
-    `conjugate_gradients.solve_many`, which defines the error.
+    `solve_many_by_cg`, which defines the error.
     """
     full = len(b) - len(b) % LANES
     parts = []

@@ -447,7 +447,7 @@ def add_pressure(
     pressure : float
         MPa.
     equations, residual, envelope, values
-        As in `t6_assembly.assemble`.
+        As in `assemble`.
     """
     with_tangent = len(values) > 0
     for k in range(len(points.weights)):

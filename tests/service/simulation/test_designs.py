@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from palpate.service.search.search_interface import Space
-from palpate.service.search.space_filling import DESIGNS, design
+from palpate.service.simulation.candidate_tables import DESIGNS, design
 from palpate.storage.errors import InputError
 
 SPACE = Space.from_bounds({"E_fat_kpa": (5, 20), "E_glandular_kpa": (5, 80), "nu": (0.45, 0.49)})

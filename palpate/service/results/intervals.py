@@ -1,9 +1,9 @@
 r"""Intervals of the constants: the local model of the fit, and the errors that widen them.
 
 Errors other than the noise of the image: the best candidate is also evaluated with its derivatives
-by the nuisance parameters, and on a mesh of another size. A group b of nuisance parameters, :math:`b \sim N(0, P)`, shifts the
-constants by :math:`-A^{-1} B b`, with the blocks A, B and D of J'J. Its posterior and its log Bayes
-factor are
+by the nuisance parameters, and on a mesh of another size. A group b of nuisance parameters,
+:math:`b \sim N(0, P)`, shifts the constants by :math:`-A^{-1} B b`, with the blocks A, B and D of
+J'J. Its posterior and its log Bayes factor are
 
 .. math:: M = \frac{D - B'A^{-1}B}{s^2} + P^{-1}, \qquad
           \hat b = -M^{-1} \frac{g_b - B'A^{-1}g}{s^2}, \qquad
@@ -18,7 +18,8 @@ from a distribution with the same relative width for all constants, so half of i
 averaged over the constants in units of their noise.
 
 The local model is the least-squares problem near the best candidate. It has the covariance, the
-directions and the interval ends; `service.results.identification` has the formulas and their interpretation.
+directions and the interval ends; `service.results.identification` has the formulas and what they
+mean.
 
 The reported intervals are the central 90 % of the posterior. In the coordinates of the local model
 the errors of all sources are normal, with the covariance :math:`\Sigma`. The interval of

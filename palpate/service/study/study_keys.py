@@ -1,8 +1,8 @@
 """The study file: a case, a target, a score, a search and a seed.
 
 Case, target and score are defined in `workers.common_keys`; this module adds the search, reads
-YAML, and lists the keys in which two studies differ. A file that is read for its case alone needs no
-target and no search.
+YAML, and lists the keys in which two studies differ. A file that is read for its case alone needs
+no target and no search.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

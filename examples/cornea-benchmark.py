@@ -25,12 +25,7 @@ from palpate.workers.thesis.thesis_eyes import TABLE_5_1, TABLE_5_2
 
 CASE: dict[str, Any] = {"organ": "cornea", "mesh": {"elements": 960}}
 REPEATS = 5
-BOUNDS = {
-    "mu1_pa": [1, 40_000],
-    "alpha1": [0.1, 100],
-    "mu2_pa": [1, 40_000],
-    "alpha2": [0.1, 100],
-}
+BOUNDS = {"mu1_pa": [1, 40_000], "alpha1": [0.1, 100], "mu2_pa": [1, 40_000], "alpha2": [0.1, 100]}
 
 
 def main() -> None:
@@ -77,10 +72,7 @@ def search_line(workers: int) -> str:
             "search": {"parameters": BOUNDS, "population": 84, "generations": 15, "stall": None},
         }
     )
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        open_cluster(None, workers) as cluster,
-    ):
+    with tempfile.TemporaryDirectory() as folder, open_cluster(None, workers) as cluster:
         study = Study(spec, Path(folder) / "study", Path(folder) / "store")
         wall_s = _seconds(lambda: study.run(Dispatcher(cluster.client)))
         results = study_results(Path(folder) / "study")

@@ -38,11 +38,7 @@ class Volume(values.Volume):
     def of(cls, volume: values.Volume) -> Self:
         """Convert a volume to this class, which notebooks can display."""
         return cls(
-            volume.values,
-            volume.spacing_mm,
-            volume.origin_mm,
-            volume.frame_uid,
-            volume.place_known,
+            volume.values, volume.spacing_mm, volume.origin_mm, volume.frame_uid, volume.place_known
         )
 
     def __repr__(self) -> str:
@@ -55,9 +51,7 @@ class Volume(values.Volume):
 
 
 def read_volume(
-    path: str | Path,
-    spacing_mm: tuple[float, float, float] | None = None,
-    axes: str | None = None,
+    path: str | Path, spacing_mm: tuple[float, float, float] | None = None, axes: str | None = None
 ) -> Volume:
     """Read a label volume from NRRD, NIfTI, TIFF, DICOM or ``.npy``.
 

@@ -58,8 +58,7 @@ COMMANDS = {
         "studies.compare:compare", "Compare the results and settings of several studies."
     ),
     "evaluate": LazyCommand(
-        "studies.evaluate:evaluate",
-        "Evaluate a table or a design of candidates for a study.",
+        "studies.evaluate:evaluate", "Evaluate a table or a design of candidates for a study."
     ),
     "profile": LazyCommand(
         "studies.profile:profile", "Show how well the image is fitted as one constant varies."
@@ -97,8 +96,7 @@ COMMANDS = {
     ),
     "serve": LazyCommand("machines.serve:serve", "Serve studies and diagnoses over HTTP."),
     "cluster": LazyCommand(
-        "machines.cluster:cluster",
-        "Start workers as jobs of SLURM, PBS, LSF or SGE.",
+        "machines.cluster:cluster", "Start workers as jobs of SLURM, PBS, LSF or SGE."
     ),
     "certs": LazyCommand("machines.certs:certs", "Create TLS certificates for a Dask cluster."),
     "thesis": LazyCommand(

@@ -227,10 +227,7 @@ class Client:
         InputError
             If the job has no such file.
         """
-        with (
-            explained(to),
-            self._http.stream("GET", f"/jobs/{identifier}/files/{name}") as answer,
-        ):
+        with explained(to), self._http.stream("GET", f"/jobs/{identifier}/files/{name}") as answer:
             self._check(answer)
             with replacing(to) as temporary, temporary.open("wb") as file:
                 for block in answer.iter_bytes(BLOCK_BYTES):

@@ -173,12 +173,7 @@ def _check_body(effect: Effect, problem: Problem, step: float) -> None:
 
 
 def _difference(
-    effect: Effect,
-    base: Problem,
-    at: dict[str, float],
-    name: str,
-    here: Equilibrium,
-    step: float,
+    effect: Effect, base: Problem, at: dict[str, float], name: str, here: Equilibrium, step: float
 ) -> FloatArray:
     """Differentiate the solution with respect to one parameter, by Richardson extrapolation."""
     h = step * effect.prior_sd[effect.names.index(name)]

@@ -29,11 +29,7 @@ import numpy as np  # noqa: E402
 from palpate.storage.values import Tissue  # noqa: E402
 from palpate.workers.body.mesh.mesh_hierarchy import MeshLevel  # noqa: E402
 from palpate.workers.mechanics.fem.body_equilibrium import solve  # noqa: E402
-from palpate.workers.mechanics.fem.boundary_value_problem import (  # noqa: E402
-    Constants,
-    Problem,
-    Solution,
-)
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Problem, Solution  # noqa: E402
 from palpate.workers.mechanics.fem.discretisation import Model, prepare  # noqa: E402
 from palpate.workers.mechanics.fem.loads_and_regions import DistanceControl, Wall  # noqa: E402
 from palpate.workers.organs.breast.breast_keys import BreastCase  # noqa: E402

@@ -39,11 +39,7 @@ from palpate.workers.common_keys import validated  # noqa: E402
 from palpate.workers.tasks.study_tasks import simulate_once  # noqa: E402
 
 SPACING_MM, NODES, TARGET_NODES, FORCE_N = 2.0, 2_000, 14_000, 60.0
-SEARCHED = {
-    "E_fat_kpa": [4.0, 30.0],
-    "eta_fat_kpa": [20.0, 400.0],
-    "E_glandular_kpa": [8.0, 160.0],
-}
+SEARCHED = {"E_fat_kpa": [4.0, 30.0], "eta_fat_kpa": [20.0, 400.0], "E_glandular_kpa": [8.0, 160.0]}
 HELD = {"eta_glandular_kpa": 150.0}
 LEVEL = 0.9
 
@@ -193,10 +189,7 @@ def study_of(name: str, seed: int, kind: Kind, folder: Path) -> StudySpec:
             export_volume(path, target_labels(seed, kind, folder.parent / "store"))
         target = {"volume": str(path.resolve())}
     else:
-        target = {
-            "constants": true_constants(seed) | HELD,
-            "mesh": {"nodes": TARGET_NODES},
-        }
+        target = {"constants": true_constants(seed) | HELD, "mesh": {"nodes": TARGET_NODES}}
     spec = {
         "name": name,
         "case": case,

@@ -13,9 +13,7 @@ SPACE = Space.from_bounds({f"E_{index}_kpa": (5, 80) for index in range(5)})
 
 
 @pytest.mark.slow
-def test_thesis_search_costs_less_than_one_simulation(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_thesis_search_costs_less_than_one_simulation(capsys: pytest.CaptureFixture[str]) -> None:
     search = GeneticSearch(SPACE, GeneticSettings(stall=None), seed=1)
     history: list[Generation] = []
     begin = time.perf_counter()

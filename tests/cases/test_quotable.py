@@ -58,20 +58,14 @@ def test_a_good_estimate_is_quotable() -> None:
         ({"value": 21.0}, "beyond the upper bound of the searched interval (20 kPa)"),
         ({"stated": (20.0, 50.0)}, "outside its stated interval (20 to 50 kPa)"),
         ({"interval": None}, "no interval is known"),
-        (
-            {"identifiable": "weak", "interval": (5.0, 15.0)},
-            "weakly determined, 5 to 15 kPa",
-        ),
+        ({"identifiable": "weak", "interval": (5.0, 15.0)}, "weakly determined, 5 to 15 kPa"),
         ({"identifiable": "ratio"}, "only its ratio to the other stiffnesses can be found"),
         ({"converged": False}, "the search has not converged"),
         (
             {"no_better_than": "the undeformed body"},
             "the best fit is no better than the undeformed body",
         ),
-        (
-            {"residual_factor": 7.0},
-            "the residual is 7 times the stated noise (at most 2 times)",
-        ),
+        ({"residual_factor": 7.0}, "the residual is 7 times the stated noise (at most 2 times)"),
         ({"contradictions": ("another statement says otherwise",)}, "another statement says"),
         ({"finished": False}, "the search has not finished"),
         ({"value": None}, "nothing was estimated"),

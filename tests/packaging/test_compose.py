@@ -215,9 +215,7 @@ def test_ports_are_open_to_this_machine_only(compose: dict[str, Any]) -> None:
     assert compose["services"]["service"]["ports"] == ["127.0.0.1:8780:8780"]
 
 
-def test_the_token_is_a_secret_and_the_cluster_has_its_own_network(
-    compose: dict[str, Any],
-) -> None:
+def test_the_token_is_a_secret_and_the_cluster_has_its_own_network(compose: dict[str, Any]) -> None:
     assert compose["x-required"][0].startswith("${PALPATE_TOKEN:?")
     assert compose["secrets"] == {"palpate_token": {"environment": "PALPATE_TOKEN"}}
     for name, service in compose["services"].items():
@@ -231,9 +229,7 @@ def test_the_token_is_a_secret_and_the_cluster_has_its_own_network(
     assert compose["networks"]["cluster"] == {"internal": True}
 
 
-def test_a_worker_runs_one_evaluation_within_its_memory_limit(
-    compose: dict[str, Any],
-) -> None:
+def test_a_worker_runs_one_evaluation_within_its_memory_limit(compose: dict[str, Any]) -> None:
     worker = compose["services"]["worker"]
     command = worker["command"]
     for option in ("--nthreads", "--nworkers"):
@@ -315,10 +311,7 @@ def free_port() -> int:
 def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
     program = [str(BIN / command[0]), *command[1:]]
     with subprocess.Popen(
-        program,
-        env=os.environ | environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        program, env=os.environ | environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     ) as process:
         try:
             yield process

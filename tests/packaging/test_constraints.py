@@ -41,11 +41,7 @@ def test_names_are_unique_and_exclude_palpate() -> None:
 
 @pytest.mark.parametrize(
     "asked",
-    [
-        *PYPROJECT["project"]["dependencies"],
-        *PYPROJECT["build-system"]["requires"],
-        *EXTRAS["dev"],
-    ],
+    [*PYPROJECT["project"]["dependencies"], *PYPROJECT["build-system"]["requires"], *EXTRAS["dev"]],
 )
 def test_every_dependency_is_pinned_to_a_version_it_allows(asked: str) -> None:
     requirement = Requirement(asked)

@@ -40,11 +40,7 @@ def test_arrays_have_the_documented_shapes(result: palpate.Simulation) -> None:
     assert result.nodes_mm.shape == result.displacement_mm.shape == (n, 3)
     assert result.tetrahedra.shape == (m, 4)
     assert result.tissue.shape == result.von_mises_mpa.shape == result.volume_ratio.shape == (m,)
-    tensors = (
-        result.deformation_gradient,
-        result.green_lagrange_strain,
-        result.cauchy_stress_mpa,
-    )
+    tensors = (result.deformation_gradient, result.green_lagrange_strain, result.cauchy_stress_mpa)
     assert {tensor.shape for tensor in tensors} == {(m, 3, 3)}
     assert result.constants["E_fat_kpa"] == pytest.approx(8)
     assert len(repr(result)) < 200

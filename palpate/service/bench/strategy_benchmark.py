@@ -303,12 +303,7 @@ def _population(strategy: str) -> str:
 
 
 WIDTH_IN, HEIGHT_IN = 10.4, 6.4
-COLOURS = {
-    "least-squares": BLUE,
-    "genetic+least-squares": GREEN,
-    "genetic": ORANGE,
-    "cma": PINK,
-}
+COLOURS = {"least-squares": BLUE, "genetic+least-squares": GREEN, "genetic": ORANGE, "cma": PINK}
 # Smaller errors are due to rounding and to the voxels.
 LEAST_ERROR = 1e-5
 

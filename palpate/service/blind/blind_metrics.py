@@ -185,10 +185,7 @@ def by_strength(records: Records) -> list[tuple[str, str, list[CaseRecord]]]:
     weak = [r for r, s in known if s < STRONG]
     strong = [r for r, s in known if s >= STRONG]
     deviations = f"{STRONG:g} standard deviations of its estimate"
-    return [
-        ("weak", f"below {deviations}", weak),
-        ("strong", f"of {deviations} or more", strong),
-    ]
+    return [("weak", f"below {deviations}", weak), ("strong", f"of {deviations} or more", strong)]
 
 
 def _others(records: Records, floor: float | None) -> Iterable[Metric]:
@@ -368,11 +365,7 @@ def _at_most(value: float) -> Target:
 
 
 def _metric(
-    key: str,
-    title: str,
-    estimate: Estimate,
-    target: Target | None = None,
-    unit: Unit = "share",
+    key: str, title: str, estimate: Estimate, target: Target | None = None, unit: Unit = "share"
 ) -> Metric:
     met = None
     if target is not None and estimate.value is not None:

@@ -152,11 +152,7 @@ class SetRequest:
     @property
     def rules(self) -> dict[str, bool | str]:
         """Return the settings, other than the seed, on which the cases of a set depend."""
-        return {
-            "one_direction": self.one_direction,
-            "controls": self.controls,
-            "world": self.world,
-        }
+        return {"one_direction": self.one_direction, "controls": self.controls, "world": self.world}
 
 
 def plan(

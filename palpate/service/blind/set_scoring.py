@@ -205,10 +205,7 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
     before = _true_gap("before", truth, moved, maps, answer.centre_mm, {})
     after = _true_gap("after", truth, moved, maps, answer.centre_mm, _said_of_images(summary))
     visible = {n: e.probability for n, e in effects.items() if n not in summary.absorbed}
-    ends = {
-        NO_GAP: summary.no_gap_probability,
-        NONE_OF_THESE: summary.none_of_these_probability,
-    }
+    ends = {NO_GAP: summary.no_gap_probability, NONE_OF_THESE: summary.none_of_these_probability}
     return CaseRecord(
         name=name,
         kind=truth.kind,

@@ -17,12 +17,7 @@ NARROWEST_TEXT = 24
 def progress_console(*, stderr: bool = True) -> Console:
     """Return a console for progress and notes; see `service.commands.command_line`."""
     return Console(
-        stderr=stderr,
-        quiet=is_quiet(),
-        highlight=False,
-        markup=False,
-        emoji=False,
-        soft_wrap=True,
+        stderr=stderr, quiet=is_quiet(), highlight=False, markup=False, emoji=False, soft_wrap=True
     )
 
 

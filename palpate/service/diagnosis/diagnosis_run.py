@@ -34,12 +34,7 @@ from palpate.workers.tasks.diagnosis_sources import (
     open_planned,
     open_source,
 )
-from palpate.workers.tasks.diagnosis_store import (
-    DiagnosisRequest,
-    DiagnosisStore,
-    Outcome,
-    named,
-)
+from palpate.workers.tasks.diagnosis_store import DiagnosisRequest, DiagnosisStore, Outcome, named
 from palpate.workers.tasks.diagnosis_tasks import (
     analyse_effect,
     calibrate_nominal,
@@ -242,11 +237,7 @@ class _Phases:
     """The tasks of one diagnosis, sent phase by phase."""
 
     def __init__(
-        self,
-        request: DiagnosisRequest,
-        workers: Workers,
-        observe: Observer,
-        slow: frozenset[str],
+        self, request: DiagnosisRequest, workers: Workers, observe: Observer, slow: frozenset[str]
     ) -> None:
         self.request, self.workers, self.observe, self.slow = request, workers, observe, slow
 

@@ -89,10 +89,7 @@ def ratio_estimates(estimates: Mapping[str, Estimate]) -> tuple[RatioEstimate, .
     (base, below), *others = stiff
     return tuple(
         RatioEstimate(
-            name,
-            base,
-            _divided(e.estimate, below.estimate),
-            _divided(e.target, below.target),
+            name, base, _divided(e.estimate, below.estimate), _divided(e.target, below.target)
         )
         for name, e in others
     )

@@ -122,12 +122,7 @@ def profile_of(
 
 class _Profiler:
     def __init__(
-        self,
-        spec: StudySpec,
-        work: StudyWork,
-        best: Mapping[str, float],
-        fit: FitJson,
-        index: int,
+        self, spec: StudySpec, work: StudyWork, best: Mapping[str, float], fit: FitJson, index: int
     ) -> None:
         self.work, self.index = work, index
         self.space = spec.search.space

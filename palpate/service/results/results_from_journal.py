@@ -223,10 +223,7 @@ def _priors_included(spec: StudySpec) -> list[str]:
 
 
 def _identification(
-    spec: StudySpec,
-    log: StudyLog,
-    best: EvaluationRecord | None,
-    findings: Mapping[str, Any],
+    spec: StudySpec, log: StudyLog, best: EvaluationRecord | None, findings: Mapping[str, Any]
 ) -> tuple[Identification | None, Posterior | None]:
     """Return the identifiability of the constants, once the search has stopped."""
     if best is None or log.end is None:

@@ -9,11 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    Field,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, model_validator
 
 from palpate.service.search.cma_search import CMA_STALL_GENERATIONS, CmaSearch, CmaSettings
 from palpate.service.search.constraints import ConstrainedSearch, Constraint, Constraints
@@ -487,7 +483,4 @@ class SearchSpec(Door):
 
 
 # Elements of about 5 and 3 mm in a breast of 445 ml; voxels a fifth of that.
-COARSE_LEVELS = (
-    LevelSpec(nodes=5_000, spacing_mm=1.0),
-    LevelSpec(nodes=20_000, spacing_mm=0.5),
-)
+COARSE_LEVELS = (LevelSpec(nodes=5_000, spacing_mm=1.0), LevelSpec(nodes=20_000, spacing_mm=0.5))

@@ -312,10 +312,7 @@ class _Run:
         return StudyWork(self.spec, self.tasks, self.store, self.dispatcher, body, target_name)
 
     def _end(
-        self,
-        stopped: Stopped,
-        best: EvaluationRecord | None,
-        evaluation: EvaluationRun,
+        self, stopped: Stopped, best: EvaluationRecord | None, evaluation: EvaluationRun
     ) -> EndRecord:
         if best is None:
             return EndRecord(stopped.reason, None, None, {}, {}, self._elapsed_s())

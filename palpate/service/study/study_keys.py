@@ -12,13 +12,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Annotated, Any, Literal, Self, cast
 
-from pydantic import (
-    Field,
-    ModelWrapValidatorHandler,
-    SerializeAsAny,
-    create_model,
-    model_validator,
-)
+from pydantic import Field, ModelWrapValidatorHandler, SerializeAsAny, create_model, model_validator
 
 from palpate.service.search.genetic_search import SteadyGenetic
 from palpate.service.search.least_squares_search import FittedNames

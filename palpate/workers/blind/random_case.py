@@ -56,13 +56,7 @@ SINGLES: Final[tuple[type[Cause], ...]] = (
     ImageScale,
 )
 OTHERS: Final[Mapping[type[Cause], float]] = MappingProxyType(
-    {
-        PlateForce: 0.05,
-        WallRise: 0.06,
-        BentPlate: 0.03,
-        Ligament: 0.02,
-        Oedema: 0.02,
-    }
+    {PlateForce: 0.05, WallRise: 0.06, BentPlate: 0.03, Ligament: 0.02, Oedema: 0.02}
 )
 CONTROL, PAIR, TRIPLE = "control", "pair", "triple"
 TOGETHER: Final[Mapping[str, int]] = MappingProxyType({PAIR: 2, TRIPLE: 3})
@@ -163,11 +157,7 @@ class Truth:
 
 
 def draw(
-    seed: int,
-    kind: str | None = None,
-    *,
-    one_direction: bool = False,
-    world: World = World.plain,
+    seed: int, kind: str | None = None, *, one_direction: bool = False, world: World = World.plain
 ) -> Truth:
     """Draw the case for a seed.
 
@@ -196,9 +186,7 @@ def draw(
     body, choice, size, off = (np.random.default_rng(stream) for stream in streams)
     anatomy = _anatomy(body)
     constants = Constants(
-        log_uniform(body, 7, 14),
-        log_uniform(body, 20, 50),
-        log_uniform(body, 50, 120),
+        log_uniform(body, 7, 14), log_uniform(body, 20, 50), log_uniform(body, 50, 120)
     )
     loads = tuple(load for load in _loads(body, anatomy) if load.axis == "y" or not one_direction)
     noise = round(body.uniform(0.25, 0.3), 2)

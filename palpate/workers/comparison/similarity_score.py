@@ -291,10 +291,7 @@ class Scorer:
 
 
 def score_labels(
-    target: Volume,
-    candidate: Volume,
-    labels: Iterable[Tissue],
-    surface: Surface = "boundary",
+    target: Volume, candidate: Volume, labels: Iterable[Tissue], surface: Surface = "boundary"
 ) -> dict[Tissue, Score]:
     """Score each tissue separately.
 

@@ -495,11 +495,7 @@ def _scanned(unloaded: InverseProblem, design: Design) -> FloatArray:
         sd_mm=calmer * unloaded.noise.sd_mm,
         reference_sd_mm=calmer * unloaded.noise.reference_sd_mm,
     )
-    inverse = replace(
-        unloaded,
-        noise=noise,
-        scans=[_NOISE_ONLY] * len(design.states),
-    )
+    inverse = replace(unloaded, noise=noise, scans=[_NOISE_ONLY] * len(design.states))
     return planned_covariance(inverse)
 
 

@@ -119,8 +119,7 @@ class Quadratic(NamedTuple):
     def scaled(self, factors: FloatArray) -> "Quadratic":
         """Return the misfit with prior standard deviations scaled by factors, (p,)."""
         return self._replace(
-            gradient=self.gradient * factors,
-            curvature=self.curvature * np.outer(factors, factors),
+            gradient=self.gradient * factors, curvature=self.curvature * np.outer(factors, factors)
         )
 
 
@@ -175,10 +174,7 @@ def sides(offset: FloatArray, one_sided: BoolArray, at_bound: IntArray | None = 
 
 
 def log_marginal(
-    q: Quadratic,
-    offset: FloatArray,
-    one_sided: BoolArray,
-    at_bound: IntArray | None = None,
+    q: Quadratic, offset: FloatArray, one_sided: BoolArray, at_bound: IntArray | None = None
 ) -> FloatArray:
     """Return the log evidence of each misfit in a stack, shape (...).
 

@@ -376,9 +376,4 @@ def _ratio(before: FloatArray, after: FloatArray) -> float:
 
 
 def _rank(further: FurtherMeasurement) -> tuple[int, int, float, str]:
-    return (
-        -further.more_told_apart,
-        -len(further.separates),
-        further.minimum_ratio,
-        further.name,
-    )
+    return (-further.more_told_apart, -len(further.separates), further.minimum_ratio, further.name)

@@ -423,8 +423,7 @@ class Vocabulary:
             If a name is unknown, an interval reversed or a value not admissible.
         """
         return self._translate(
-            values,
-            lambda p, b: p.check_bounds((p.unit.to_inside(b[0]), p.unit.to_inside(b[1]))),
+            values, lambda p, b: p.check_bounds((p.unit.to_inside(b[0]), p.unit.to_inside(b[1])))
         )
 
     def to_door(self, values: Mapping[str, float]) -> dict[str, float]:

@@ -107,10 +107,7 @@ class Watch:
 
 
 def evaluate(
-    setup: Setup,
-    constants: Mapping[str, float],
-    watch: Watch,
-    free: Sequence[FreeParameter] = (),
+    setup: Setup, constants: Mapping[str, float], watch: Watch, free: Sequence[FreeParameter] = ()
 ) -> Evaluation:
     """Simulate one candidate and compare it with the target.
 

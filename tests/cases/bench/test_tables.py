@@ -124,10 +124,7 @@ def test_reads_separators_of_thousands(tmp_path):
             r"line 2: 26 cells below a header of 13 columns\. This happens with dec",
         ),
         (text_of(rows()).replace("0.250000,", "", 1), "line 3: 12 cells below a header of 13"),
-        (
-            "a;b\n1,234;2\n",
-            "line 2: '1,234' in column a may be a decimal comma or",
-        ),
+        ("a;b\n1,234;2\n", "line 2: '1,234' in column a may be a decimal comma or"),
         ("a;b\n1.5;2,5\n", r"mixes decimal points and commas: '1\.5' on line 2, '2,5' on line 2"),
         ("a,b,a\n1,2,3\n", "has the column a 2 times"),
         ("a,b\n1,2\n3,x\n", r"line 3: 'x' in column b is not a number\. Expected a number"),

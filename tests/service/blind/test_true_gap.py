@@ -97,12 +97,7 @@ def test_gap_equals_a_known_error_field(truth: Moved, noisy: tuple[FloatArray, F
     rng = np.random.default_rng(3)
     amiss = 0.25 * np.sin(points[:, 0] / 15)
     slip = np.cross(after, rng.normal(size=after.shape))  # along the surface: no gap
-    moved = np.stack(
-        [
-            pressed(points) + (amiss[:, None] * after + slip),
-            points + 0.7 * normals,
-        ]
-    )
+    moved = np.stack([pressed(points) + (amiss[:, None] * after + slip), points + 0.7 * normals])
     known = np.stack([np.zeros(len(points)), np.full(len(points), 0.2)])
     of_gland = np.ones(len(points), np.int32)
     found = true_gap(points, of_gland, moved, np.stack([after, normals]), truth, known)

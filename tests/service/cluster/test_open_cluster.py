@@ -129,10 +129,7 @@ def test_local_cluster_refuses_other_clients(monkeypatch: pytest.MonkeyPatch) ->
             with pytest.raises((OSError, TypeError)):
                 Client(place, security=security, timeout=2, set_as_default=False)
         dispatcher = Dispatcher(cluster.client)
-        assert dispatcher.call(worker_environment) == {
-            "PALPATE_TOKEN": None,
-            "PYTHONSAFEPATH": "1",
-        }
+        assert dispatcher.call(worker_environment) == {"PALPATE_TOKEN": None, "PYTHONSAFEPATH": "1"}
         port = urlsplit(cluster.dashboard).port
         answers = {
             host: httpx.get(f"http://127.0.0.1:{port}/health", headers={"Host": host}).status_code

@@ -196,9 +196,7 @@ FILES = {
     "no image": BadInput(RUN, "rest.npy", text(IMAGES)),
     "an image of text": BadInput(RUN, "rest.npy", all_of(images(), text("hello", "rest.npy"))),
     "half an image": BadInput(
-        RUN,
-        "rest.npy",
-        all_of(images(), lambda p: os.truncate(p / "rest.npy", 3000)),
+        RUN, "rest.npy", all_of(images(), lambda p: os.truncate(p / "rest.npy", 3000))
     ),
     "a flat image": BadInput(RUN, "pressed.npy", images(lambda v: v[0])),
     "an image of fractions": BadInput(RUN, "whole numbers", images(lambda v: v + 0.5)),

@@ -13,12 +13,7 @@ from palpate.service.templates import template
 
 Call = Callable[..., tuple[int, str, str]]
 ROOT = Path(__file__).parents[3]
-KINDS = (
-    ["study"],
-    ["study", "--organ", "cornea"],
-    ["diagnosis"],
-    ["experiment"],
-)
+KINDS = (["study"], ["study", "--organ", "cornea"], ["diagnosis"], ["experiment"])
 
 
 def properties(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -85,9 +85,7 @@ def asked(folder: Path, store: Path) -> DiagnosisRequest:
 # Findings
 
 
-def test_finds_tilt_and_constants(
-    diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis],
-) -> None:
+def test_finds_tilt_and_constants(diagnosed: tuple[DiagnosisRequest, FinishedDiagnosis]) -> None:
     summary, named = diagnosed[1].summary, ("plate_tilt",)
     assert (summary.verdict, summary.primary, summary.set90) == ("effect", named, named)
     tilt = summary.effect("plate_tilt")

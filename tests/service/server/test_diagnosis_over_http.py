@@ -164,10 +164,7 @@ def test_diagnosis_over_http_equals_command(
 
 @pytest.mark.slow
 def test_a_study_that_has_run_is_diagnosed(
-    served: ServiceProcess,
-    few_suspects: None,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    served: ServiceProcess, few_suspects: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "searched.yaml").write_text(STUDY)
     with palpate.connect(served.url, TOKEN) as connected:

@@ -124,9 +124,7 @@ def elsewhere(place: Path) -> None:
 
 def no_gland(place: Path) -> None:
     changed(
-        place,
-        "pressed.nrrd",
-        lambda v: Volume(np.minimum(v.values, 1), v.spacing_mm, v.origin_mm),
+        place, "pressed.nrrd", lambda v: Volume(np.minimum(v.values, 1), v.spacing_mm, v.origin_mm)
     )
 
 

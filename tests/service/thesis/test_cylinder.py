@@ -75,9 +75,7 @@ def test_dice_decays_less_than_jaccard(rows: dict[float, CylinderRow]) -> None:
             assert row.dc == pytest.approx(2 * row.jc / (1 + row.jc))
 
 
-def test_half_turn_is_the_identity_and_curves_are_symmetric(
-    rows: dict[float, CylinderRow],
-) -> None:
+def test_half_turn_is_the_identity_and_curves_are_symmetric(rows: dict[float, CylinderRow]) -> None:
     for angle in (0, 180):
         assert (rows[angle].jc, rows[angle].mhd_mm, rows[angle].gsf) == (1.0, 0.0, -math.inf)
     for angle in (1, 5, 30, 85):

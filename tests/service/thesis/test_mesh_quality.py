@@ -61,9 +61,7 @@ def test_two_materials_keep_only_fat_and_gland(phantom: Phantom) -> None:
 
 
 @pytest.mark.slow
-def test_homogeneous_meshes_are_more_regular(
-    rows: tuple[QualityRow, QualityRow],
-) -> None:
+def test_homogeneous_meshes_are_more_regular(rows: tuple[QualityRow, QualityRow]) -> None:
     adaptive, homogeneous = rows
     for row in rows:
         assert row.bad == 0
@@ -79,9 +77,7 @@ def test_homogeneous_meshes_are_more_regular(
 
 
 @pytest.mark.slow
-def test_table_has_mean_averages_and_the_worst_aspect(
-    rows: tuple[QualityRow, QualityRow],
-) -> None:
+def test_table_has_mean_averages_and_the_worst_aspect(rows: tuple[QualityRow, QualityRow]) -> None:
     adaptive, homogeneous = rows
     other = replace(adaptive, mean=adaptive.mean | {"aspect": 2.0}, worst_aspect=1.0)
     first, second = aspect_rows((adaptive, other, homogeneous))

@@ -89,9 +89,7 @@ def test_finished_parts_are_not_run_again(request_of_stubs: ThesisRequest) -> No
     assert all(step.of == 5 for step in steps)
 
 
-def test_estimate_follows_the_cost_of_finished_parts(
-    request_of_stubs: ThesisRequest,
-) -> None:
+def test_estimate_follows_the_cost_of_finished_parts(request_of_stubs: ThesisRequest) -> None:
     before = estimate(request_of_stubs, workers=2)
     assert (before.missing, before.unknown) == (5, 5)
     assert "none of them has been timed" in before.sentence

@@ -210,10 +210,7 @@ def test_deformed_mesh_owns_the_voxels_in_its_elements():
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    seed=st.integers(0, 10**6),
-    snap=st.sampled_from([0.0, 0.25, 0.5, 1.0]),
-)
+@given(seed=st.integers(0, 10**6), snap=st.sampled_from([0.0, 0.25, 0.5, 1.0]))
 def test_no_holes_inside_a_randomly_deformed_box(seed, snap):
     """Sides fixed, inner nodes anywhere short of folding, also on ties: all ones."""
     rng = np.random.default_rng(seed)

@@ -35,13 +35,7 @@ from palpate.workers.mechanics.fem.loads_and_regions import DistanceControl, For
 from palpate.workers.organs.breast.breast_effects import CATALOGUE
 from palpate.workers.organs.breast.scanned_case import acquisition_of
 from palpate.workers.organs.breast.scanned_case_files import read_case
-from tests.workers.diagnosis.meant_case import (
-    NODES,
-    SPACING_MM,
-    at_distance,
-    at_force,
-    write_meant,
-)
+from tests.workers.diagnosis.meant_case import NODES, SPACING_MM, at_distance, at_force, write_meant
 
 effect = CATALOGUE.named
 SUSPECTS = [

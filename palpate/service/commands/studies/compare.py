@@ -22,16 +22,14 @@ from palpate.storage.backends.atomic_files import write_file
 
 def compare(
     studies: Annotated[
-        list[Path],
-        typer.Argument(metavar="STUDY STUDY...", help="Study folders, files or names."),
+        list[Path], typer.Argument(metavar="STUDY STUDY...", help="Study folders, files or names.")
     ],
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE.csv", help="Also write constants and scores as CSV."),
     ] = None,
     page: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.html", help="Also write an HTML page with charts."),
+        Path | None, typer.Option(metavar="FILE.html", help="Also write an HTML page with charts.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -98,20 +98,13 @@ def plan_source(
     typer.echo(f"page: {page}")
 
 
-def planned(
-    request: PlanRequest,
-    workers: Workers | None,
-    scheduler: str | None,
-) -> PlanSummary:
+def planned(request: PlanRequest, workers: Workers | None, scheduler: str | None) -> PlanSummary:
     """Return the plan, from the store if present."""
     done = stored_plan(request)
     if done is not None:
         note("This plan is in the store: nothing to compute.")
         return done
-    with (
-        session(scheduler, workers) as opened,
-        DiagnosisProgress(progress_console()) as progress,
-    ):
+    with session(scheduler, workers) as opened, DiagnosisProgress(progress_console()) as progress:
         return run_plan(request, opened.dispatcher, progress)
 
 
@@ -205,20 +198,14 @@ def diagnose_source(
 
 
 def _diagnosed(
-    request: DiagnosisRequest,
-    source: Path,
-    workers: Workers | None,
-    scheduler: str | None,
+    request: DiagnosisRequest, source: Path, workers: Workers | None, scheduler: str | None
 ) -> FinishedDiagnosis:
     """Return the diagnosis, from the store if present."""
     stored = finished(request)
     if stored is not None:
         note("This diagnosis is in the store: nothing to compute.")
         return stored
-    with (
-        session(scheduler, workers) as opened,
-        DiagnosisProgress(progress_console()) as progress,
-    ):
+    with session(scheduler, workers) as opened, DiagnosisProgress(progress_console()) as progress:
         return run_and_tell(request, opened.dispatcher, source, progress)
 
 

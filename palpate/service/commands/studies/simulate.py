@@ -43,8 +43,7 @@ from palpate.workers.tasks.study_tasks import simulate_once
 
 def simulate(
     study: Annotated[
-        Path,
-        typer.Argument(help="Study file or study folder; name and case in a file are enough."),
+        Path, typer.Argument(help="Study file or study folder; name and case in a file are enough.")
     ],
     constants: Annotated[
         list[str] | None,

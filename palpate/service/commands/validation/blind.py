@@ -107,8 +107,7 @@ class Which(StrEnum):
 
 SetArgument = Annotated[Path, typer.Argument(metavar="SET", help="Folder of the set.")]
 TruthOption = Annotated[
-    Path | None,
-    typer.Option(help="Folder of the truths. Default: SET-truth.", show_default=False),
+    Path | None, typer.Option(help="Folder of the truths. Default: SET-truth.", show_default=False)
 ]
 DirectionsOption = Annotated[
     Which, typer.Option(help="Scans given to the diagnosis: all, or only those compressed along y.")

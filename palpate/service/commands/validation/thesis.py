@@ -147,12 +147,7 @@ def thesis(
 
 
 def _request(
-    name: str,
-    full: bool,
-    sketch: bool,
-    out: Path,
-    strategy: str | None,
-    store: str | None,
+    name: str, full: bool, sketch: bool, out: Path, strategy: str | None, store: str | None
 ) -> ThesisRequest:
     if name not in (*EXPERIMENTS, *EVERYTHING):
         raise InputError(
@@ -169,10 +164,7 @@ def _request(
 
 def _complete(request: ThesisRequest, workers: Workers | None, scheduler: str | None) -> None:
     """Run the missing parts to the end."""
-    with (
-        session(scheduler, workers) as opened,
-        ThesisProgress(progress_console()) as progress,
-    ):
+    with session(scheduler, workers) as opened, ThesisProgress(progress_console()) as progress:
         run_thesis(request, opened.dispatcher, progress)
 
 

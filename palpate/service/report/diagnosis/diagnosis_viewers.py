@@ -274,11 +274,7 @@ def _moved_vertices(
 
 
 def _gaps_at_vertices(
-    found: Arrays,
-    scan: int,
-    number: int,
-    vertices: FloatArray,
-    models: Sequence[tuple[str, str]],
+    found: Arrays, scan: int, number: int, vertices: FloatArray, models: Sequence[tuple[str, str]]
 ) -> dict[str, FloatArray]:
     """Return residuals at vertices, zero if within the noise and nan where no point is near."""
     own = np.asarray(found["interface"]) == number

@@ -79,10 +79,7 @@ DIAGNOSIS_TERMS = (
     ("Nominal model", "The model without any suspected effect, with fitted constants."),
     ("Effect", "A cause missing from the model, with a magnitude that can be fitted."),
     ("Evidence, nats", "A gain of 3 makes a hypothesis 20 times as probable."),
-    (
-        "Alarm",
-        "The evidence for a gap that noise alone exceeds in 5 of 100 cases.",
-    ),
+    ("Alarm", "The evidence for a gap that noise alone exceeds in 5 of 100 cases."),
     (
         "Absorbed by constants",
         "The part of an effect that other constants could mimic; if it is large, the effect is "

@@ -42,10 +42,7 @@ class LivePage(Observer):
     """
 
     def __init__(
-        self,
-        folder: Path,
-        share: float = SHARE,
-        clock: Callable[[], float] = time.monotonic,
+        self, folder: Path, share: float = SHARE, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.folder = folder
         self.share = share

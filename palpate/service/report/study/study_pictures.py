@@ -51,11 +51,7 @@ class SectionRow:
 def evaluated_points(endings: Iterable[EvaluationRecord]) -> list[EvaluationPoint]:
     """Return every evaluation as a point, with +inf for missing scores."""
     return [
-        EvaluationPoint(
-            r.generation,
-            r.genes,
-            score_of(r),
-        )
+        EvaluationPoint(r.generation, r.genes, score_of(r))
         for r in sorted(endings, key=lambda r: r.candidate)
     ]
 

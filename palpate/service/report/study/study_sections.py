@@ -114,10 +114,7 @@ def difference_legend() -> list[tuple[str, str]]:
 
 
 def cut_bodies(
-    bodies: Bodies,
-    view: View,
-    tissues: Sequence[int],
-    middle: tuple[Triple | None, Triple | None],
+    bodies: Bodies, view: View, tissues: Sequence[int], middle: tuple[Triple | None, Triple | None]
 ) -> list[tuple[str, Section, bool]]:
     """Return the title and section of every available body, and of their difference.
 

@@ -60,10 +60,7 @@ Name = Annotated[str, PathParameter(pattern=NAME_PATTERN)]
 
 
 def create_app(
-    service: Service,
-    *,
-    hosts: Iterable[str] = (),
-    stopping: Callable[[], bool] = lambda: False,
+    service: Service, *, hosts: Iterable[str] = (), stopping: Callable[[], bool] = lambda: False
 ) -> FastAPI:
     """Return the application of a service.
 
@@ -107,9 +104,7 @@ def _problems(*codes: int) -> dict[int | str, dict[str, Any]]:
 
 def _about() -> APIRouter:
     router = APIRouter(
-        tags=["service"],
-        responses=_problems(400, 401, 403, 421, 422),
-        route_class=StrictRoute,
+        tags=["service"], responses=_problems(400, 401, 403, 421, 422), route_class=StrictRoute
     )
 
     @router.get("/health")

@@ -237,10 +237,7 @@ def get_journal(service: Here, job: Known, since: Offset = 0) -> JournalPage:
     responses=_refusals(404, 503) | {200: {"content": {"text/event-stream": {}}}},
 )
 async def follow_job(
-    service: Here,
-    request: Request,
-    job: Known,
-    tail: Followed,
+    service: Here, request: Request, job: Known, tail: Followed
 ) -> StreamingResponse:
     """Follow a job with server-sent events: `job`, `record`, and finally `end`."""
     return event_stream(

@@ -79,10 +79,7 @@ async def follow_all(service: Here, request: Request) -> StreamingResponse:
     responses=_refusals(404, 503) | EVENT_STREAM,
 )
 async def follow_points(
-    service: Here,
-    request: Request,
-    job: Known,
-    tail: Followed,
+    service: Here, request: Request, job: Known, tail: Followed
 ) -> StreamingResponse:
     """Follow a job with compact server-sent events: `job`, `points`, and finally `end`."""
     return event_stream(

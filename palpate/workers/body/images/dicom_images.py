@@ -54,11 +54,7 @@ class Planes:
 
 
 def stack(
-    positions_mm: FloatArray,
-    orientation: FloatArray,
-    what: str,
-    *,
-    may_skip: bool = False,
+    positions_mm: FloatArray, orientation: FloatArray, what: str, *, may_skip: bool = False
 ) -> Planes:
     """Sort slices along their normal, with distances computed from their positions alone.
 

@@ -71,12 +71,7 @@ class Scan:
         """Make a scan of unknown position, with axes x, y, z and the first voxel at (0, 0, 0)."""
         spacing = np.full(3, np.nan) if spacing_mm is None else np.array(spacing_mm, dtype=float)
         return cls(
-            values,
-            _distances(spacing),
-            np.eye(3),
-            np.zeros(3),
-            place_known=False,
-            anatomical=False,
+            values, _distances(spacing), np.eye(3), np.zeros(3), place_known=False, anatomical=False
         )
 
     @classmethod

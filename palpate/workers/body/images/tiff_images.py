@@ -299,10 +299,7 @@ def check_one_file(path: Path, what: str) -> None:
     what : str
         Name of the file in messages.
     """
-    with (
-        reading(what, "TIFF"),
-        tifffile.TiffFile(path, _multifile=False, **_KINDS) as tiff,
-    ):
+    with reading(what, "TIFF"), tifffile.TiffFile(path, _multifile=False, **_KINDS) as tiff:
         if not len(tiff.pages):
             raise ValueError("it has no pages")
         _check_ome(Path(what), tiff)

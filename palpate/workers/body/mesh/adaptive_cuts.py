@@ -71,9 +71,7 @@ def level_set_of(labels: Volume, tissue: Tissue, blur: float = BLUR) -> LevelSet
     field[band] = -spread * ndtri(part[band])
     origin = np.asarray(labels.origin_mm) - np.array([MARGIN, MARGIN, 0]) * spacing
     return LevelSet(
-        field,
-        np.array([origin, spacing]),
-        float(np.count_nonzero(inside) * labels.voxel_mm3),
+        field, np.array([origin, spacing]), float(np.count_nonzero(inside) * labels.voxel_mm3)
     )
 
 

@@ -286,11 +286,7 @@ def adaptive_mesh(labels: Volume, sizes: Sizes, tissue: Tissue = Tissue.GLANDULA
 
 
 def _cut_lattice(
-    labels: Volume,
-    tissue: Tissue,
-    outline: Outline,
-    sizes: Sizes,
-    inner: LevelSet,
+    labels: Volume, tissue: Tissue, outline: Outline, sizes: Sizes, inner: LevelSet
 ) -> tuple[TetMesh, BoolArray, Constraints]:
     levels, corner = cell_levels(labels, tissue, outline, sizes)
     lattice = graded_lattice(levels, corner, sizes.smallest_mm)

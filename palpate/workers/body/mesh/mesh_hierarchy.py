@@ -129,10 +129,7 @@ class Hierarchy:
 
 
 def build_hierarchy(
-    labels: Volume,
-    *,
-    element_size_mm: float | None = None,
-    nodes: int | None = None,
+    labels: Volume, *, element_size_mm: float | None = None, nodes: int | None = None
 ) -> Hierarchy:
     """Mesh the largest body in a label volume at several sizes.
 

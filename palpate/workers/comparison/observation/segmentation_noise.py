@@ -123,10 +123,7 @@ def correlation(points: InterfacePoints, correlation_mm: float) -> FloatArray:
 
 
 def covariance(
-    points: InterfacePoints,
-    noise: SegmentationNoise,
-    states: int,
-    free: FloatArray | None = None,
+    points: InterfacePoints, noise: SegmentationNoise, states: int, free: FloatArray | None = None
 ) -> FloatArray:
     """Return the covariance of the residuals of all states.
 

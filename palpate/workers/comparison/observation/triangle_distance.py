@@ -261,12 +261,7 @@ def _offer(
 
 @njit(**CONTRACTED)
 def _squared(
-    vertex: int,
-    points: NDArray[np.float32],
-    step: NDArray[np.float32],
-    z: int,
-    y: int,
-    x: int,
+    vertex: int, points: NDArray[np.float32], step: NDArray[np.float32], z: int, y: int, x: int
 ) -> np.float32:
     dx = points[0, vertex] - np.float32(x) * step[0]
     dy = points[1, vertex] - np.float32(y) * step[1]

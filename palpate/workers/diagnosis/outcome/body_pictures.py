@@ -226,9 +226,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def bodies(
-    reference: Volume,
-    observed: Sequence[Volume],
-    predicted: Mapping[str, Sequence[Volume]],
+    reference: Volume, observed: Sequence[Volume], predicted: Mapping[str, Sequence[Volume]]
 ) -> Arrays:
     """Return the labels of the body at rest and of every scan.
 

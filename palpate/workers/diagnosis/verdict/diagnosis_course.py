@@ -339,9 +339,7 @@ def _of_all(
 
 
 def _weighed_up(
-    analysis: NominalAnalysis,
-    known: dict[str, Effect],
-    joint_fits: dict[tuple[str, ...], JointFit],
+    analysis: NominalAnalysis, known: dict[str, Effect], joint_fits: dict[tuple[str, ...], JointFit]
 ) -> tuple[Verdict, tuple[Hypothesis, ...]]:
     """Return the verdict and the weighed hypotheses."""
     hypotheses = weigh(analysis, joint_fits)

@@ -80,10 +80,7 @@ ELASTIC_BED = Effect(
     prior_sd=(KPA_PER_MM.to_inside(0.05),),
     steps=(KPA_PER_MM.to_inside(1e-4),),
     transform=_elastic_bed,
-    references=(
-        SKIN_BETWEEN_PADS,
-        "S. Evans, C. A. Holt, J. Strain Anal. Eng. Des. 44 (2009) 337",
-    ),
+    references=(SKIN_BETWEEN_PADS, "S. Evans, C. A. Holt, J. Strain Anal. Eng. Des. 44 (2009) 337"),
 )
 
 

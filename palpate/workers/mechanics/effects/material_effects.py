@@ -216,9 +216,7 @@ def _fibre_contrast(problem: Problem, values: Values, frame: Frame) -> Problem:
     if gland is None:
         return problem
     changed = replace(
-        gland,
-        fibre_mpa=factor * gland.fibre_mpa,
-        second_fibre_mpa=factor * gland.second_fibre_mpa,
+        gland, fibre_mpa=factor * gland.fibre_mpa, second_fibre_mpa=factor * gland.second_fibre_mpa
     )
     return replace(problem, constants={**problem.constants, Tissue.GLANDULAR: changed})
 

@@ -318,12 +318,5 @@ def equilibrium(model: Model, problem: Problem, start: Equilibrium | None = None
         outcome = replace(solution.outcome, converged=False, reason=reason)
         solution = replace(solution, outcome=outcome)
     return Equilibrium(
-        imaged,
-        model,
-        problem,
-        path.stage,
-        path.levels,
-        path.states,
-        path.converged,
-        solution,
+        imaged, model, problem, path.stage, path.levels, path.states, path.converged, solution
     )

@@ -364,12 +364,7 @@ class LoadStepping:
         return LoadPath(stage, states, results, tuple(converged), self.levels)
 
     def _solve_stage(
-        self,
-        stage: Stage,
-        before: tuple[State, ...],
-        *,
-        first: bool,
-        done: Sequence[Result] = (),
+        self, stage: Stage, before: tuple[State, ...], *, first: bool, done: Sequence[Result] = ()
     ) -> tuple[tuple[State, ...], tuple[Result, ...]]:
         """Solve one stage on each level, from coarse to fine, until one fails.
 

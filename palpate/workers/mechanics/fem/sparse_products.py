@@ -187,11 +187,7 @@ def set_pressure(
 
 @njit(**CONTRACTED)
 def multiply(
-    start: IndexArray,
-    neighbour: IndexArray,
-    rows: Float32Array,
-    x: AnyFloatArray,
-    y: AnyFloatArray,
+    start: IndexArray, neighbour: IndexArray, rows: Float32Array, x: AnyFloatArray, y: AnyFloatArray
 ) -> None:
     """Set y = tangent times x, except for the pressure of `y`."""
     for i in range(x.shape[0]):
@@ -203,11 +199,7 @@ def multiply(
 
 @njit(**CONTRACTED)
 def subtract_product(
-    start: IndexArray,
-    neighbour: IndexArray,
-    rows: Float32Array,
-    x: AnyFloatArray,
-    r: AnyFloatArray,
+    start: IndexArray, neighbour: IndexArray, rows: Float32Array, x: AnyFloatArray, r: AnyFloatArray
 ) -> None:
     """Subtract tangent times x from `r`."""
     for i in range(x.shape[0]):

@@ -289,13 +289,7 @@ FUNG = LawPlugin(
     "Fung",
     (
         Parameter(
-            "b",
-            NUMBER,
-            0.0,
-            20.0,
-            0.0,
-            "rate of the exponential in I1bar - 3",
-            open_lower=False,
+            "b", NUMBER, 0.0, 20.0, 0.0, "rate of the exponential in I1bar - 3", open_lower=False
         ),
     ),
     _fung,

@@ -78,14 +78,8 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
         "tissue interface sliding",
         "gland and fat share their nodes; interfaces seen along their normals show little of it",
     ),
-    (
-        "oedema in one place",
-        "growth is uniform within the fat and within the glandular tissue",
-    ),
-    (
-        "tension of the skin at rest",
-        "skin that is added is free of stress in the scan at rest",
-    ),
+    ("oedema in one place", "growth is uniform within the fat and within the glandular tissue"),
+    ("tension of the skin at rest", "skin that is added is free of stress in the scan at rest"),
     (
         "movement during the scan",
         "a body that moves while it is scanned appears blurred, not displaced",
@@ -94,10 +88,7 @@ NOT_SIMULATED: tuple[tuple[str, str], ...] = (
         "uneven chest wall",
         "the wall is equally compliant everywhere, unlike a rib or the edge of the muscle",
     ),
-    (
-        "ligaments as sheets",
-        "fibres act uniformly; a single stiff sheet looks like an inclusion",
-    ),
+    ("ligaments as sheets", "fibres act uniformly; a single stiff sheet looks like an inclusion"),
     (
         "relaxation at different rates",
         "all moduli relax by the same fraction; only scans at several times separate the tissues",

@@ -7,13 +7,7 @@ law.
 from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    Field,
-    StringConstraints,
-    model_validator,
-)
+from pydantic import BaseModel, BeforeValidator, Field, StringConstraints, model_validator
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue
@@ -214,8 +208,7 @@ def _final(given: Any) -> Any:
 
 
 PlateDistance = Annotated[
-    PlateDistanceSpec,
-    BeforeValidator(_final, json_schema_input_type=Positive | PlateDistanceSpec),
+    PlateDistanceSpec, BeforeValidator(_final, json_schema_input_type=Positive | PlateDistanceSpec)
 ]
 
 

@@ -17,11 +17,7 @@ from palpate.storage.values import Triple
 from palpate.workers.common_keys import Door, LawName, checked_name
 from palpate.workers.mechanics.effects.effect import Effect
 from palpate.workers.mechanics.fem.boundary_value_problem import WALL_TO_NIPPLE, Constants
-from palpate.workers.mechanics.materials.law_plugins import (
-    DEFAULT_LAW,
-    law_named,
-    law_of_constant,
-)
+from palpate.workers.mechanics.materials.law_plugins import DEFAULT_LAW, law_named, law_of_constant
 from palpate.workers.mechanics.model_parameters import BREAST, Vocabulary
 from palpate.workers.organs.breast.breast_effects import CATALOGUE
 from palpate.workers.plugins import plugin

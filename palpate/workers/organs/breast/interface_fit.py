@@ -189,11 +189,7 @@ def fit_interfaces(
 
 
 def _observed(
-    name: str,
-    moved: FloatArray,
-    normals: FloatArray,
-    observation: BreastObservation,
-    model: Model,
+    name: str, moved: FloatArray, normals: FloatArray, observation: BreastObservation, model: Model
 ) -> FloatArray:
     """Return the derivatives of the residuals with respect to a parameter of the observation."""
     effect: Effect = OBSERVED[name]

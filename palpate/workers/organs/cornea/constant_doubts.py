@@ -366,9 +366,7 @@ PARTS_OF_LARGEST = (0.25, 0.5, 0.75, 1.0)
 
 
 def derived(
-    numbers: Mapping[str, Any],
-    constants: CorneaConstants,
-    refitted: CorneaConstants | None = None,
+    numbers: Mapping[str, Any], constants: CorneaConstants, refitted: CorneaConstants | None = None
 ) -> list[dict[str, Any]]:
     """Return the values derived from the constants: G0, and stress at attained stretches.
 

@@ -185,9 +185,7 @@ def information_of(candidate: Candidate, contour: FittedContour) -> Information:
 
 
 def information_of_pressures(
-    candidate: Candidate,
-    fractions: Sequence[float],
-    window_mm: tuple[float, float] | None = None,
+    candidate: Candidate, fractions: Sequence[float], window_mm: tuple[float, float] | None = None
 ) -> Information | None:
     """Return the joint information of images at several jet pressures; None if one diverges."""
     total: Information | None = None
@@ -243,10 +241,7 @@ class StressCurve:
 
 
 def stress_curve(
-    constants: CorneaConstants,
-    information: Information,
-    noise: ContourNoise,
-    stretch: FloatArray,
+    constants: CorneaConstants, information: Information, noise: ContourNoise, stretch: FloatArray
 ) -> StressCurve:
     """Return the stress-stretch curve with its interval from the image."""
 

@@ -125,10 +125,7 @@ class RigidMotion:
     @property
     def inverse(self) -> "RigidMotion":
         """Return the inverse motion."""
-        centre = (
-            self.centre_mm[0] + self.shift_mm[0],
-            self.centre_mm[1] + self.shift_mm[1],
-        )
+        centre = (self.centre_mm[0] + self.shift_mm[0], self.centre_mm[1] + self.shift_mm[1])
         shift = (-self.shift_mm[0], -self.shift_mm[1])
         return RigidMotion(shift_mm=shift, tilt_rad=-self.tilt_rad, centre_mm=centre)
 

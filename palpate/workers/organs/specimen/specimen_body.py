@@ -219,10 +219,7 @@ def _mesh_of(model: Model) -> TetMesh:
 
 
 def arms(
-    mesh: TetMesh,
-    feet_mm: FloatArray,
-    outward: Sequence[FinitePoint | None],
-    names: Sequence[str],
+    mesh: TetMesh, feet_mm: FloatArray, outward: Sequence[FinitePoint | None], names: Sequence[str]
 ) -> csr_matrix:
     """Return the matrix of the motion of arm ends relative to their feet, shape (k, n).
 

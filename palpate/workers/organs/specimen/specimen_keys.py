@@ -17,11 +17,7 @@ from palpate.storage.values import Tissue, Triple
 from palpate.workers.common_keys import Door, Finite, LawName, Positive, validated
 from palpate.workers.file_keys import Pairs
 from palpate.workers.input_files import parse_yaml, read_text
-from palpate.workers.mechanics.materials.law_plugins import (
-    DEFAULT_LAW,
-    law_named,
-    law_of_constant,
-)
+from palpate.workers.mechanics.materials.law_plugins import DEFAULT_LAW, law_named, law_of_constant
 from palpate.workers.mechanics.model_parameters import Bounds, Vocabulary, unknown_name
 
 FinitePoint = tuple[Finite, Finite, Finite]

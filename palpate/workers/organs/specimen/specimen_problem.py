@@ -113,9 +113,7 @@ def problem_of(
             holds.append(Hold(places[hold.region], axes=axes))
     holds += [
         Hold(
-            places[move.region],
-            move.displacement_mm or measured[move.region],
-            held_axes(move.axes),
+            places[move.region], move.displacement_mm or measured[move.region], held_axes(move.axes)
         )
         for move in loads.moves
     ]

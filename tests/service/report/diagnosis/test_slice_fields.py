@@ -5,12 +5,7 @@ import pytest
 
 from palpate.service.report.diagnosis.diagnosis_viewers import slice_fields
 from palpate.storage.values import Volume
-from tests.service.report.diagnosis_bodies_at_hand import (
-    HALF_AXES_MM,
-    NOMINAL_MM,
-    egg,
-    found,
-)
+from tests.service.report.diagnosis_bodies_at_hand import HALF_AXES_MM, NOMINAL_MM, egg, found
 
 
 def at(field: Volume, place_mm: tuple[float, float, float]) -> float:

@@ -76,18 +76,9 @@ def test_air_has_no_middle() -> None:
 
 
 def test_difference_in_boxes_that_differ_matches_hand_calculation() -> None:
-    target = drawn(
-        ".ff.",
-        "fggf",
-        ".gf.",
-    )
+    target = drawn(".ff.", "fggf", ".gf.")
     # Two mm to the right (one column) and one mm up (one row) of the target's box.
-    best = drawn(
-        ".f.",
-        "gg.",
-        "ffg",
-        origin=(2.0, 1.0),
-    )
+    best = drawn(".f.", "gg.", "ffg", origin=(2.0, 1.0))
     told = difference(target, best, [Tissue.GLANDULAR])
     B, T, C, o = Difference.BOTH, Difference.ONLY_TARGET, Difference.ONLY_BEST, Difference.BODY
     expected = [  # from the top; columns begin at the target's first

@@ -115,10 +115,7 @@ class TestSummarise:
         assert summarise(volume([[[0, 0]]]))["body_mm"] is None
 
     @settings(deadline=None, max_examples=40)
-    @given(
-        kind=st.sampled_from(["u1", "i2", "u2", "i4", "i8"]),
-        seed=st.integers(0, 1000),
-    )
+    @given(kind=st.sampled_from(["u1", "i2", "u2", "i4", "i8"]), seed=st.integers(0, 1000))
     def test_counts_equal_numpy(self, kind: str, seed: int) -> None:
         limits = np.iinfo(kind)
         values = np.random.default_rng(seed).choice(

@@ -223,11 +223,7 @@ class TestSpacing:
         self, tmp_path: Path, numbered: NDArray[np.uint16]
     ) -> None:
         turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        header = {
-            "space": "LPS",
-            "space directions": (turn * SPACING).T,
-            "space origin": ORIGIN,
-        }
+        header = {"space": "LPS", "space directions": (turn * SPACING).T, "space origin": ORIGIN}
         nrrd.write(str(tmp_path / "a.nrrd"), numbered, header)
         volume = read_volume_file(tmp_path / "a.nrrd", spacing_mm=(2.0, 0.5, 1.25))
         assert volume.spacing_mm == (2.0, 0.5, 1.25)

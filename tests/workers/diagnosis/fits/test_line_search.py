@@ -46,9 +46,7 @@ def fitted(
     return found, tried
 
 
-def test_line_search_starts_near_the_last_length(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_line_search_starts_near_the_last_length(monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps are ten times too long; 0.16 of a step is the first that lowers a parabola."""
     found, tried = fitted(monkeypatch, lambda z: z * z, lambda z: -10 * z, expected=10.0)
     s = SETTINGS.fit.shortening
@@ -62,9 +60,7 @@ def test_line_search_starts_near_the_last_length(
     assert found.cost < SETTINGS.fit.tolerance
 
 
-def test_steps_lengthen_after_an_underestimated_step(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_steps_lengthen_after_an_underestimated_step(monkeypatch: pytest.MonkeyPatch) -> None:
     """After a decrease of 0.6 where 0.2 was expected, the next step is twice as long. Steps keep
     their length if decreases match the expectation."""
     _, tried = fitted(monkeypatch, lambda z: 3 * abs(z), lambda z: -0.2, expected=0.2)

@@ -247,11 +247,7 @@ FITS = [
                 "skin_added": {"growth": 60.0, "plate_tilt": 35.0, "creep": 25.0},
             },
             False,
-            [
-                ("skin_added", "growth"),
-                ("plate_tilt", "skin_added"),
-                ("plate_tilt", "growth"),
-            ],
+            [("skin_added", "growth"), ("plate_tilt", "skin_added"), ("plate_tilt", "growth")],
         ),
         # The best effect leaves nothing, so there is no pair, although others leave much.
         ({"plate_tilt": {}, "skin_added": {"growth": 60.0}}, False, []),

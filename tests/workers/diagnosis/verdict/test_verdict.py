@@ -127,11 +127,7 @@ def test_an_effect_with_an_unlisted_cause_is_uncertain():
     shares = [0.01, 0.2, 0.8]
     tried = [Hypothesis(("a",), 500.0 * (1 - one), 500.0 * one) for one in shares]
     found = [verdict([Hypothesis((), 0.0, 100.0), one], FAMILIES) for one in tried]
-    assert [one.set90 for one in found] == [
-        ("a",),
-        ("a", "none-of-these"),
-        ("none-of-these",),
-    ]
+    assert [one.set90 for one in found] == [("a",), ("a", "none-of-these"), ("none-of-these",)]
     # An exponential distribution with mean 0.1 against a uniform one from 0 to 1, at even odds.
     assert found[1].probabilities["a"] == pytest.approx(0.575, abs=0.001)
     assert found[1].none_of_these == pytest.approx(0.425, abs=0.001)

@@ -52,9 +52,7 @@ def free_surface(mesh: TetMesh) -> np.ndarray:
 
 
 def level_of(
-    mesh: TetMesh,
-    tissue: np.ndarray | None = None,
-    prolongation: sparse.csr_matrix | None = None,
+    mesh: TetMesh, tissue: np.ndarray | None = None, prolongation: sparse.csr_matrix | None = None
 ) -> MeshLevel:
     """A mesh level, all fat unless `tissue` is given."""
     fractions = np.zeros((len(mesh.tets), len(Tissue)), np.float32)

@@ -131,11 +131,7 @@ def study(c: Constants, *, plain: bool) -> FloatArray:
         level = loose_level(each, c, plain_elements=plain, fibres=fibres, literal_fibre=True)
         level = loaded(level, c)
         result = minimise(
-            level,
-            State(motion(each.nodes, c)[0], 0.0),
-            OPEN,
-            solver_factory(solvers),
-            1e-5,
+            level, State(motion(each.nodes, c)[0], 0.0), OPEN, solver_factory(solvers), 1e-5
         )
         assert result.reason == ""
         solvers.append(result.linear)

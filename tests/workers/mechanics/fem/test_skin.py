@@ -53,11 +53,7 @@ def test_stresses_of_sheet_and_body_add_up(lx, ly, tension):
         ),
     )
     problem = Problem(
-        {Tissue.FAT: c},
-        NoPlates(),
-        membrane=SKIN,
-        holds=(*MIRRORS, *ends),
-        tolerance_mm=1e-7,
+        {Tissue.FAT: c}, NoPlates(), membrane=SKIN, holds=(*MIRRORS, *ends), tolerance_mm=1e-7
     )
     found = equilibrium(model, problem)
     assert found.solution.outcome.converged, found.solution.outcome.reason

@@ -69,12 +69,7 @@ def test_recovers_named_coefficients(name):
 def test_neo_hookean_of_a_noisy_table_is_the_projection():
     """mu = sum(w g P) / sum(w g g) with g = l - l^-2 and so on, w the weight of the table."""
     tables = tables_of(Yeoh(0.18, -4e-3, 2e-3), noise=0.1)
-    g = [
-        STRETCH - STRETCH**-2,
-        STRETCH - STRETCH**-5,
-        STRETCH - STRETCH**-3,
-        SHEAR,
-    ]
+    g = [STRETCH - STRETCH**-2, STRETCH - STRETCH**-5, STRETCH - STRETCH**-3, SHEAR]
     weight = [1 / np.sum(t.stress_mpa**2) for t in tables]
     over = sum(w * np.sum(x * t.stress_mpa) for w, x, t in zip(weight, g, tables, strict=True))
     under = sum(w * np.sum(x * x) for w, x in zip(weight, g, strict=True))

@@ -61,10 +61,7 @@ def test_swapped_terms_describe_the_same_cornea() -> None:
         (
             {
                 "load": {
-                    "jet": {
-                        "pressure_kpa": 15,
-                        "profile": {"r_mm": [1, 0.5], "fraction": [1, 0]},
-                    }
+                    "jet": {"pressure_kpa": 15, "profile": {"r_mm": [1, 0.5], "fraction": [1, 0]}}
                 }
             },
             "ascending distances",

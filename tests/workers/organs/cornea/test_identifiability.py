@@ -97,9 +97,7 @@ def test_stress_of_exponent_two_is_neo_hookean() -> None:
     assert stress == pytest.approx(0.5 * (stretch**2 - 1 / stretch))
 
 
-def test_stress_interval_widens_beyond_attained_stretches(
-    information: Information,
-) -> None:
+def test_stress_interval_widens_beyond_attained_stretches(information: Information) -> None:
     noise = pixel_rounding(2.0)
     curve = stress_curve(X1.constants, information, noise, np.array([1.0, 1.04, 1.2]))
     assert curve.sd_mpa[0] == 0

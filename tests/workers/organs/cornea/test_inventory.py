@@ -51,10 +51,7 @@ MEASURED_ABAQUS = [
     ("axisymmetric", "additive", 15.0, 248.0),
     ("axisymmetric", "mulf", 15.0, 168.0),
 ]
-MEASURED_FEBIO = [
-    ("axisymmetric", "additive", 15.0, 339.0),
-    ("axisymmetric", "mulf", 15.0, 181.0),
-]
+MEASURED_FEBIO = [("axisymmetric", "additive", 15.0, 339.0), ("axisymmetric", "mulf", 15.0, 181.0)]
 MESH = corneal_arc(120, 4)
 
 

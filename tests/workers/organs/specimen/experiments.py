@@ -25,9 +25,7 @@ def described(**changes):
             "clamp": {"plane": {"axis": "z", "at_mm": 0}},
             "tip": {"plane": {"axis": "z", "at_mm": SIZE[2]}},
         },
-        "materials": {
-            "rubber": {"E_kpa": [40, 400], "nu": 0.45, "density_kg_per_m3": 1200},
-        },
+        "materials": {"rubber": {"E_kpa": [40, 400], "nu": 0.45, "density_kg_per_m3": 1200}},
         "holds": [{"region": "clamp"}],
         "down": [0, -2, 0],
         "markers": {

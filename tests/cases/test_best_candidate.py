@@ -21,17 +21,16 @@ from palpate.service.study.study_folder import read_study
 from palpate.service.study.study_progress import PlainProgress
 from palpate.service.study.study_session import DaskRecords
 from palpate.storage.backends.store_paths import StudyLayout
-from palpate.storage.journal import Journal
-from palpate.storage.journal_records import (
+from palpate.storage.best_candidate import (
     BestSoFar,
-    EvaluationRecord,
-    Status,
     best_of,
     best_searched,
     best_so_far,
     rank_of,
     rank_of_line,
 )
+from palpate.storage.journal import Journal
+from palpate.storage.journal_records import EvaluationRecord, Status
 from palpate.workers.tasks import diagnosis_sources as studies_module
 from tests.recovery.stand_ins import Inline, run, small_spec
 

@@ -26,7 +26,8 @@ from palpate.service.study.study_folder import StudyLog
 from palpate.service.study.study_keys import StudySpec, parse_spec
 from palpate.storage.backends.atomic_files import write_file
 from palpate.storage.backends.store_paths import StudyLayout
-from palpate.storage.journal_records import BestSoFar, EvaluationRecord, best_of, score_of
+from palpate.storage.best_candidate import BestSoFar, best_of, score_of
+from palpate.storage.journal_records import EvaluationRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -36,8 +36,9 @@ from palpate.service.report.study.study_sections import (
     tissue_legend,
 )
 from palpate.service.results.result_records import StudyResults
+from palpate.storage.best_candidate import score_of
 from palpate.storage.errors import InputError
-from palpate.storage.journal_records import EvaluationRecord, score_of
+from palpate.storage.journal_records import EvaluationRecord
 from palpate.storage.stored_arrays import Arrays
 from palpate.workers.diagnosis.outcome.diagnosis_summary import GapEstimate, Summary
 

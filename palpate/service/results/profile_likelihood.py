@@ -18,8 +18,8 @@ from palpate.service.search.search_interface import FloatArray, LogSpace, Space
 from palpate.service.study.study_folder import StudyLog
 from palpate.service.study.study_keys import StudySpec
 from palpate.service.study.task_requests import StudyWork, Tasks
+from palpate.storage.best_candidate import best_of, minimised
 from palpate.storage.errors import InputError
-from palpate.storage.journal_records import best_of, minimised
 from palpate.storage.store import open_store
 from palpate.storage.values import EvaluationResult, FitJson
 from palpate.workers.mechanics.model_parameters import unknown_name

@@ -416,7 +416,7 @@ class StudyResults:
     estimates : mapping of str to ParameterEstimate
         By internal name, such as ``E_fat``.
     best : EvaluationRecord or None
-        The best candidate, as `journal_records` ranks them; None if none has a score.
+        The best candidate, as `storage.best_candidate` ranks them; None if none has a score.
     counts : EvaluationCounts
     generations : tuple of GenerationResult
     failures : tuple of EvaluationRecord

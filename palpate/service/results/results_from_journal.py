@@ -44,15 +44,10 @@ from palpate.service.study.study_folder import (
 )
 from palpate.service.study.study_keys import StudySpec
 from palpate.storage.backends.store_paths import StudyLayout
+from palpate.storage.best_candidate import best_of, best_searched, best_so_far, equally_good
 from palpate.storage.errors import InputError, JournalError, NewerSchemaError, StoreError
 from palpate.storage.journal import Journal
-from palpate.storage.journal_records import (
-    EvaluationRecord,
-    best_of,
-    best_searched,
-    best_so_far,
-    equally_good,
-)
+from palpate.storage.journal_records import EvaluationRecord
 from palpate.storage.json_digests import unseal
 from palpate.workers.common_keys import validated
 from palpate.workers.organs.organ_plugins import organ_spec

@@ -15,8 +15,9 @@ from palpate.service.results.results_as_json import study_json
 from palpate.service.results.results_from_journal import study_results
 from palpate.service.study.study_folder import read_study
 from palpate.service.study.study_keys import ABSENT, differing_settings
+from palpate.storage.best_candidate import score_of
 from palpate.storage.errors import InputError
-from palpate.storage.journal_records import EvaluationRecord, score_of
+from palpate.storage.journal_records import EvaluationRecord
 from palpate.storage.json_digests import to_plain
 
 # Keys from the record that `palpate report --json` prints.

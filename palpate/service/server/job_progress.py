@@ -8,8 +8,9 @@ from typing import Any
 
 from palpate.service.study.study_progress import Pace
 from palpate.storage.backends.store_paths import StudyLayout
+from palpate.storage.best_candidate import BestSoFar
 from palpate.storage.errors import InputError, JournalError
-from palpate.storage.journal_records import BestSoFar, EvaluationRecord
+from palpate.storage.journal_records import EvaluationRecord
 from palpate.storage.json_digests import unseal
 
 READ_BYTES = 256 * 1024

@@ -20,8 +20,8 @@ from palpate.service.study.study_folder import read_study
 from palpate.service.study.study_keys import StudySpec
 from palpate.storage.backends.atomic_files import write_file
 from palpate.storage.backends.store_paths import StudyLayout
+from palpate.storage.best_candidate import best_of
 from palpate.storage.errors import PalpateError, StoreError
-from palpate.storage.journal_records import best_of
 from palpate.workers.common_keys import validated
 
 NAME = "bodies-{candidate}.json"

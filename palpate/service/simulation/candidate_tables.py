@@ -21,8 +21,9 @@ from palpate.service.installed_packages import frame_type, pyarrow
 from palpate.service.search.search_interface import FloatArray, Space
 from palpate.service.study.study_keys import StudySpec
 from palpate.storage.backends.atomic_files import explained, replacing, write_file
+from palpate.storage.best_candidate import score_of
 from palpate.storage.errors import InputError
-from palpate.storage.journal_records import EvaluationRecord, score_of
+from palpate.storage.journal_records import EvaluationRecord
 from palpate.workers.input_files import read_text
 from palpate.workers.mechanics.model_parameters import unknown_name
 

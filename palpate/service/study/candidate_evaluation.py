@@ -18,8 +18,9 @@ from palpate.service.search.search_interface import Generation, Stopped
 from palpate.service.study.search_replay import PendingGeneration, SteadyReplay
 from palpate.service.study.study_events import Hooks
 from palpate.service.study.task_requests import StudyWork
+from palpate.storage.best_candidate import best_of, minimised, score_of
 from palpate.storage.journal import Journal
-from palpate.storage.journal_records import EvaluationRecord, Status, best_of, minimised, score_of
+from palpate.storage.journal_records import EvaluationRecord, Status
 from palpate.storage.store import load_evaluation
 from palpate.storage.stored_arrays import has_volume
 from palpate.storage.values import EvaluationRequest, EvaluationResult

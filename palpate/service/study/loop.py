@@ -29,6 +29,7 @@ from palpate.service.study.study_keys import StudySpec
 from palpate.service.study.task_requests import StudyWork, Tasks
 from palpate.storage.backends.atomic_files import write_file
 from palpate.storage.backends.store_paths import Location, place_of
+from palpate.storage.best_candidate import best_of
 from palpate.storage.errors import PalpateError
 from palpate.storage.journal import Journal
 from palpate.storage.journal_records import (
@@ -38,7 +39,6 @@ from palpate.storage.journal_records import (
     IdentificationRecord,
     ProposalRecord,
     SessionRecord,
-    best_of,
 )
 from palpate.storage.json_digests import dumps, seal, to_plain
 from palpate.storage.store import Store, open_store

@@ -23,8 +23,9 @@ from palpate.service.search.search_interface import (
     Space,
     Stopped,
 )
+from palpate.storage.best_candidate import score_of
 from palpate.storage.errors import JournalError
-from palpate.storage.journal_records import EvaluationRecord, ProposalRecord, score_of
+from palpate.storage.journal_records import EvaluationRecord, ProposalRecord
 
 
 @dataclass(frozen=True, eq=False)

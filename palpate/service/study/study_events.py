@@ -26,7 +26,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from palpate.service.search.search_interface import Generation
-from palpate.storage.journal_records import BestSoFar, EvaluationRecord, Status, score_of
+from palpate.storage.best_candidate import BestSoFar, score_of
+from palpate.storage.journal_records import EvaluationRecord, Status
 from palpate.storage.values import PreparedBody, PreparedTarget
 from palpate.workers.comparison.score_objective import GSF, Objective
 

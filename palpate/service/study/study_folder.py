@@ -20,6 +20,7 @@ from palpate.service.search.search_keys import LEAST_SQUARES
 from palpate.service.study.study_keys import StudySpec, differences
 from palpate.storage.backends.atomic_files import explained, write_file
 from palpate.storage.backends.store_paths import Place, StudyLayout, place_of
+from palpate.storage.best_candidate import score_of
 from palpate.storage.errors import InputError, JournalError
 from palpate.storage.journal import Journal
 from palpate.storage.journal_records import (
@@ -31,7 +32,6 @@ from palpate.storage.journal_records import (
     StudyRecord,
     caveats_in,
     record_of,
-    score_of,
 )
 from palpate.storage.values import PreparedBody, PreparedTarget
 

@@ -20,7 +20,8 @@ from rich.text import Text
 from palpate.service.search.search_interface import Generation
 from palpate.service.study.study_events import Observer, StudyFacts
 from palpate.storage.backends.store_paths import StudyLayout
-from palpate.storage.journal_records import BestSoFar, EvaluationRecord
+from palpate.storage.best_candidate import BestSoFar
+from palpate.storage.journal_records import EvaluationRecord
 from palpate.storage.values import PreparedBody, PreparedTarget
 from palpate.workers.comparison.score_objective import GSF
 

@@ -22,8 +22,9 @@ from palpate.service.cluster.task_dispatch import Dispatcher, SingleProcess, Tas
 from palpate.service.errors_and_interrupts import Interrupted, stop_requests
 from palpate.service.search.search_interface import Generation
 from palpate.service.study.study_events import Observer, StudyFacts
+from palpate.storage.best_candidate import BestSoFar, score_of
 from palpate.storage.errors import InputError
-from palpate.storage.journal_records import BestSoFar, EvaluationRecord, score_of
+from palpate.storage.journal_records import EvaluationRecord
 from palpate.storage.values import PreparedBody, PreparedTarget
 
 SEND_EVERY_S = 0.5

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from palpate.storage.backends.store_paths import Location, StudyLayout
+from palpate.storage.best_candidate import best_of
 from palpate.storage.errors import InputError
 from palpate.storage.journal import Journal
 from palpate.storage.journal_records import (
     EvaluationRecord,
     SessionRecord,
     StudyRecord,
-    best_of,
     caveats_in,
     record_of,
 )

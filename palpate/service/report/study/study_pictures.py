@@ -28,7 +28,8 @@ from palpate.service.report.study.study_charts import EvaluationPoint, SearchedP
 from palpate.service.report.study.study_data import Bodies
 from palpate.service.results.identification import Identification
 from palpate.service.results.result_records import GenerationScores, ParameterEstimate
-from palpate.storage.journal_records import EvaluationRecord, minimised, score_of
+from palpate.storage.best_candidate import minimised, score_of
+from palpate.storage.journal_records import EvaluationRecord
 from palpate.storage.values import Tissue
 from palpate.workers.common_keys import CaseSpec
 from palpate.workers.mechanics.fem.loads_and_regions import Pressed

@@ -19,7 +19,6 @@ from pathlib import Path
 from threading import Barrier
 from typing import Any, cast
 
-from palpate.storage.backends import folder_backend
 from palpate.storage.backends.store_paths import Backend, Location, Place, StoreLayout, place_of
 from palpate.storage.errors import NewerSchemaError, StoreError
 from palpate.storage.json_digests import dumps, from_plain, loads, seal, to_plain, unseal
@@ -62,8 +61,10 @@ def backend_of(place: Place) -> Backend[Any]:
     StoreError
         If the place is in a bucket and obstore is not installed.
     """
-    # The second needs obstore, which is optional.
+    # Zarr is slow to load, and who reads a journal needs none; obstore is optional.
     if isinstance(place, Path):
+        from palpate.storage.backends import folder_backend
+
         return cast(Backend[Any], folder_backend)
     from palpate.storage.backends import bucket_backend
 

@@ -160,7 +160,7 @@ LINES = (BLUE, ORANGE, GREEN, PINK, VERMILION, GREY)
 KIND_COLOURS = dict(
     zip(
         ("homogeneous", "adaptive", "adaptive 1 mm", "adaptive 2 mm", "adaptive 3 mm"),
-        LINES,
+        LINES[:5],
         strict=True,
     )
 )

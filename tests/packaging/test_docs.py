@@ -21,6 +21,7 @@ LOADS = re.compile(
         ["']?(?:https?:)?//[^\s"')>]+""",
     re.IGNORECASE | re.VERBOSE,
 )
+GENERATED = ("reference/commands.md", "reference/keys.md", "explanation/validation.md")
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +75,8 @@ def test_prose_stays_within_its_budget() -> None:
         return sum(len(file.read_text().split()) for file in files)
 
     assert words(ROOT / "README.md") <= 800
-    generated = {ROOT / "docs" / "reference" / name for name in ("commands.md", "keys.md")}
-    assert words(*(set((ROOT / "docs").rglob("*.md")) - generated)) <= 15_000
+    generated = {ROOT / "docs" / name for name in GENERATED}
+    assert words(*(set((ROOT / "docs").rglob("*.md")) - generated)) <= 14_400
 
 
 def test_generated_pages_are_up_to_date(tmp_path: Path) -> None:
@@ -83,7 +84,7 @@ def test_generated_pages_are_up_to_date(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "docs", copy)
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     subprocess.run([sys.executable, copy / "generate.py"], check=True, env=environment)
-    for name in ("reference/commands.md", "reference/keys.md", "explanation/validation.md"):
+    for name in GENERATED[:2]:  # tests/packaging/test_figure_ages.py compares the third
         assert (copy / name).read_text() == (ROOT / "docs" / name).read_text(), (
             f"docs/{name} is not up to date: run `python docs/generate.py`"
         )

@@ -3,7 +3,7 @@
 A figure counts as older than the code if, since its commit, a file of that code has changed, even
 by a comment, or if the code lay elsewhere then. Two moves are followed: the packages lay at the top
 of the repository before they lay below ``palpate/``, and the commits listed in
-``.git-blame-ignore-revs`` moved files and kept every result.
+``.git-blame-ignore-revs`` moved files and were meant to keep every result.
 """
 
 import shutil
@@ -44,7 +44,7 @@ def is_older(commit: str, code: Sequence[str]) -> bool:
 
 
 def moves() -> set[str]:
-    """Return the commits that moved files and kept every result."""
+    """Return the commits that moved files and were meant to keep every result."""
     lines = (ROOT / MOVES).read_text().splitlines()
     return {line for line in lines if line and not line.startswith("#")}
 

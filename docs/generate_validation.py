@@ -14,9 +14,8 @@ it. Data on which a method was tuned are marked.
 
 *Made with* is the commit whose code made a figure, or, where it was not noted, the commit that
 brought the figure into the documents. A figure is **older than the code** if a file of the code
-that makes it has changed since, even by a comment; moved files count as changed only if they were
-changed as well (`.git-blame-ignore-revs` lists the moves). Repeat such a figure before you quote
-it.
+that makes it has changed since, even by a comment. Commits that moved files and were meant to keep
+every result do not count (`.git-blame-ignore-revs`). Repeat an older figure before you quote it.
 """
 
 # Key of a record, its title on the page; a column that no record of a group fills is left out.

@@ -142,6 +142,19 @@ class TestNamesInFiles:
         with pytest.raises(InputError, match=r"2 layers.*overlap.*label map: Segment Editor"):
             read_volume_file(path)
 
+    def test_layers_are_those_of_the_axis_without_direction(self, tmp_path: Path) -> None:
+        both = np.stack([breast(), breast()])  # layers run slowest
+        header = LPS | {"space directions": np.vstack([2 * np.eye(3), np.full(3, np.nan)])}
+        header["kinds"] = ["domain", "domain", "domain", "list"]
+        path = write_nrrd(tmp_path / "a.seg.nrrd", both, header, **segments(SLICER, {3: 1}))
+        with pytest.raises(InputError, match="has segments in 2 layers"):
+            read_volume_file(path)
+        path = write_nrrd(tmp_path / "b.seg.nrrd", both[:1], header, **segments(SLICER))
+        np.testing.assert_array_equal(read_volume_file(path).values, breast())
+        path = write_nrrd(tmp_path / "c.seg.nrrd", breast(), **segments(SLICER, {3: 1}))
+        with pytest.raises(InputError, match="has segments in 2 layers"):
+            read_volume_file(path)
+
 
 class TestStatedLabels:
     def test_numbers_must_agree_with_names(self, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from palpate.storage.errors import InputError
 from palpate.storage.store import open_store
 from palpate.storage.stored_arrays import load_volume, save_volume
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.images.image_formats import read_volume_file
+from palpate.workers.body.images.image_formats import read_labels, read_volume_file
 from palpate.workers.body.images.segmented_body import in_air, in_coarser_voxels, one_body
 from palpate.workers.body.images.tissue_labels import crop_to_body, relabel
 from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
@@ -184,24 +184,42 @@ class TestDicom:
         with pytest.raises(InputError, match=r"2 frames of reference .*6 slices.*4 slices"):
             read_volume_file(path)
 
-    @pytest.mark.parametrize("tag", ["SpacingBetweenSlices", "SliceThickness"])
     @pytest.mark.parametrize("stated", [1.0, 1.9, 4.0])
-    def test_refuses_tags_that_contradict_positions(
-        self, tmp_path: Path, tag: str, stated: float
+    def test_refuses_a_distance_that_contradicts_positions(
+        self, tmp_path: Path, stated: float
     ) -> None:
+        tag = {"SpacingBetweenSlices": stated}
         said = (
             rf"2 mm apart according to their positions, expected {stated:g} mm "
-            rf"according to its {tag}"
+            r"according to its SpacingBetweenSlices"
         )
         with pytest.raises(InputError, match=said):
-            read_volume_file(write_series(tmp_path / "s", breast(), **{tag: stated}))
+            read_volume_file(write_series(tmp_path / "s", breast(), **tag))
         with pytest.raises(InputError, match=said):
-            read_volume_file(write_segmentation(tmp_path / "a.dcm", breast(), {}, {tag: stated}))
+            read_volume_file(write_segmentation(tmp_path / "a.dcm", breast(), {}, tag))
 
-    def test_overlapping_slices_are_no_contradiction(self, tmp_path: Path) -> None:
-        tags = {"SpacingBetweenSlices": 2.0, "SliceThickness": 3.0}
-        volume = read_volume_file(write_series(tmp_path / "s", breast(), **tags))
-        assert volume.spacing_mm == (2.0, 2.0, 2.0)
+    @pytest.mark.parametrize("thickness", [5.0, 3.0, 2.5, 2.05, 1.0])
+    @pytest.mark.parametrize("gap", [{}, {"SpacingBetweenSlices": 2.0}])
+    def test_positions_decide_and_another_thickness_is_a_remark(
+        self, tmp_path: Path, thickness: float, gap: dict[str, float]
+    ) -> None:
+        tags = {"SliceThickness": thickness, **gap}
+        way = "overlap" if thickness > 2 else "leave gaps"
+        said = (
+            "Slices are 2 mm apart according to their positions, which is the spacing used, and "
+            f"{thickness:g} mm thick (SliceThickness), so they {way}.",
+        )
+        for path in (
+            write_series(tmp_path / "s", breast(), **tags),
+            write_segmentation(tmp_path / "a.dcm", breast(), {}, tags),
+        ):
+            image = read_labels(path)
+            assert image.volume.spacing_mm == (2.0, 2.0, 2.0)
+            assert image.remarks == said
+
+    def test_equal_thickness_is_no_remark(self, tmp_path: Path) -> None:
+        path = write_series(tmp_path / "s", breast(), SliceThickness=2.01)
+        assert read_labels(path).remarks == ()
 
 
 class TestSlices:
@@ -339,10 +357,11 @@ class TestImport:
         assert "towards" not in out
 
     def test_prints_the_frame_and_the_directions(self, capsys: pytest.CaptureFixture[str]) -> None:
-        write_series(Path("s"), tissues(), FrameOfReferenceUID=FRAME)
+        write_series(Path("s"), tissues(), FrameOfReferenceUID=FRAME, SliceThickness=5)
         options = ["--name", "a", "--axes", "L S A", "--picture", "a.png", "--anyway"]
         assert main(["import", "s", *options]) == 0
-        out = capsys.readouterr().out
+        out, err = capsys.readouterr()
+        assert "Remark: Slices are 2 mm apart according to their positions" in err
         assert f"frame of reference {FRAME}" in out
         assert "-y of the image, towards anterior: chest wall to nipple" in out
         assert Path("a.png").read_bytes().startswith(b"\x89PNG")

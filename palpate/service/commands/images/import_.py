@@ -120,6 +120,7 @@ def import_image(
         "label_names": {str(k): v for k, v in sorted(read.image.names.items())},
         "label_tissues": {str(k): t.name.lower() for k, t in sorted(read.tissues.items())},
         "doubt": doubt(volume, letters) or None,
+        "remarks": list(read.image.remarks),
         "findings": [finding.text for finding in findings],
         "caveats": list(caveats_of(findings)),
         "png": str(drawn),
@@ -148,6 +149,8 @@ def _print(volume: Volume, record: dict[str, Any]) -> None:
     coloured = console.is_terminal and not console.no_color
     for line in terminal_lines(volume, console.width, colours=coloured):
         console.print(line, no_wrap=True, overflow="crop")
+    for remark in record["remarks"]:
+        typer.echo(f"Remark: {remark}", err=True)
     if record["doubt"]:
         typer.echo(f"Check: {record['doubt']}", err=True)
 

@@ -81,6 +81,28 @@ def check_stored(size: int, held: int, ratio: float, what: str) -> None:
         )
 
 
+def check_end(stream: Any, what: str) -> None:
+    """Read a stream to its end, and raise InputError if more than padding follows the voxels.
+
+    Parameters
+    ----------
+    stream : binary file
+        Positioned after the last voxel.
+    what : str
+        Name of the image in messages.
+    """
+    check_padding(stream.read(SLACK_BYTES + 1), what)
+
+
+def check_padding(rest: bytes, what: str) -> None:
+    """Raise InputError if the bytes after the voxels are not a few zeros."""
+    if len(rest) > SLACK_BYTES or rest.strip(b"\0"):
+        raise InputError(
+            f"{what} holds more voxels than its header states. Its header is wrong, or the file "
+            "is damaged; copy or export it again."
+        )
+
+
 @cache
 def memory_bytes() -> int:
     """Return the memory available to this process, given its machine, container and limits."""
@@ -134,6 +156,7 @@ def pixel_bytes(path: Path, dataset: Any) -> tuple[int, int]:
     if syntax is not None and not syntax.is_compressed and "PixelData" in dataset:
         stored = size if bits > 1 else size // 8
         check_stored(stored, len(dataset.PixelData), 1, str(path))
+        check_padding(dataset.PixelData[size if bits > 1 else -(-size // 8) :], str(path))
     return size, each
 
 

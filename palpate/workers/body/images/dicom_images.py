@@ -9,6 +9,7 @@ at one position each; the label is the segment number) and LABELMAP frames (labe
 supported. Frames without any voxel of a segment are usually missing from the file; they stay 0.
 """
 
+import warnings
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -121,10 +122,7 @@ def _refuse_gaps(gaps: FloatArray, gap_mm: float, what: str) -> None:
 
 
 def check_stated_gap(planes: Planes, tags: Any, what: str) -> None:
-    """Raise InputError if a tag contradicts the distance between slice positions.
-
-    SpacingBetweenSlices gives that distance. Without it, SliceThickness must equal the distance;
-    with it, slices may overlap or leave gaps.
+    """Raise InputError if SpacingBetweenSlices contradicts the distance of slice positions.
 
     Parameters
     ----------
@@ -135,17 +133,38 @@ def check_stated_gap(planes: Planes, tags: Any, what: str) -> None:
         Name of the image in messages.
     """
     gap = float(np.linalg.norm(planes.step_mm))
-    for name in ("SpacingBetweenSlices", "SliceThickness"):
-        stated = abs(float(tags.get(name) or 0))  # some scanners write a negative one
-        if not stated:
-            continue
-        if abs(gap - stated) > STATED_TOLERANCE * stated:
-            raise InputError(
-                f"{what} is inconsistent: its slices are {gap:.4g} mm apart according to their "
-                f"positions, expected {stated:.4g} mm according to its {name}. Export it again, or "
-                "correct the one that is wrong."
-            )
-        return
+    stated = _length_mm(tags, "SpacingBetweenSlices")
+    if stated and abs(gap - stated) > STATED_TOLERANCE * stated:
+        raise InputError(
+            f"{what} is inconsistent: its slices are {gap:.4g} mm apart according to their "
+            f"positions, expected {stated:.4g} mm according to its SpacingBetweenSlices. Export it "
+            "again, or correct the one that is wrong."
+        )
+
+
+def thickness_remarks(planes: Planes, tags: Any) -> tuple[str, ...]:
+    """Return a remark if slices are thicker or thinner than their distance.
+
+    SliceThickness is how much of the body a slice shows: slices may overlap or leave gaps.
+
+    Parameters
+    ----------
+    planes : Planes
+    tags : pydicom.Dataset
+        Data set of PixelMeasures, or of a slice.
+    """
+    gap, thickness = float(np.linalg.norm(planes.step_mm)), _length_mm(tags, "SliceThickness")
+    if not thickness or abs(gap - thickness) <= STATED_TOLERANCE * thickness:
+        return ()
+    way = "overlap" if thickness > gap else "leave gaps"
+    return (
+        f"Slices are {gap:.4g} mm apart according to their positions, which is the spacing used, "
+        f"and {thickness:.4g} mm thick (SliceThickness), so they {way}.",
+    )
+
+
+def _length_mm(tags: Any, name: str) -> float:
+    return abs(float(tags.get(name) or 0))  # some scanners write a negative one
 
 
 def plane_scan(
@@ -222,7 +241,7 @@ def read_segmentation(path: Path, dataset: Any) -> Scan:
     slots = int(planes.slots.max()) + 1
     claimed_bytes((slots, dataset.Rows, dataset.Columns), np.uint16().itemsize, str(path))
 
-    pixels = np.asarray(dataset.pixel_array)
+    pixels = np.asarray(_decoded(dataset))
     if pixels.ndim != 3 or len(pixels) != len(frames):
         raise InputError(
             f"{path} has pixels of shape {pixels.shape} for {len(frames)} frames; it is damaged. "
@@ -243,6 +262,7 @@ def read_segmentation(path: Path, dataset: Any) -> Scan:
         plane_scan(values, planes, orientation, measures.get("PixelSpacing")),
         frame_uid=str(dataset.get("FrameOfReferenceUID") or ""),
         names=_names(dataset, path),
+        remarks=thickness_remarks(planes, measures),
     )
 
 
@@ -381,8 +401,12 @@ def _series(images: list[tuple[Path, Any]], what: str) -> Scan:
             values = values.astype(np.promote_types(pixels.dtype, values.dtype))
         values[slot] = pixels
     assert values is not None
-    scan = plane_scan(values, planes, orientation, first.get("PixelSpacing"))
-    return replace(scan, frame_uid=str(first.get("FrameOfReferenceUID") or ""))
+    return replace(
+        plane_scan(values, planes, orientation, first.get("PixelSpacing")),
+        frame_uid=str(first.get("FrameOfReferenceUID") or ""),
+        scaling=next(filter(None, (_scaling(dataset) for _, dataset in images)), ""),
+        remarks=next(filter(None, (thickness_remarks(planes, d) for _, d in images)), ()),
+    )
 
 
 def _refuse_mixed(images: list[tuple[Path, Any]], what: str) -> None:
@@ -412,15 +436,35 @@ def _pixels(path: Path, dataset: Any) -> NDArray[Any]:
     if dataset.get("SamplesPerPixel", 1) != 1:
         raise InputError(f"{path} is a colour image; labels need one number per pixel.")
     try:
-        pixels: NDArray[Any] = dataset.pixel_array
+        pixels = _decoded(dataset)
     except Exception as error:  # pydicom and its decoders raise nearly anything
         raise InputError(
             f"{path}: the pixels cannot be read ({error}). The file is cut short, or is "
             "compressed in a way that needs a decoder; export it uncompressed."
         ) from error
-    slope = float(dataset.get("RescaleSlope", 1) or 1)
-    intercept = float(dataset.get("RescaleIntercept", 0) or 0)
+    slope, intercept = _rescale(dataset)
     if slope == 1 and intercept == 0:
         return pixels
     scaled = slope * pixels.astype(np.float64) + intercept
     return scaled.astype(np.int32) if slope.is_integer() and intercept.is_integer() else scaled
+
+
+def _decoded(dataset: Any) -> NDArray[Any]:
+    """Return the stored pixels; compressed ones must be as many as the header states."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="The pixel data is")  # its padding is checked
+        warnings.filterwarnings("error", message="The decoded RLE segment")
+        pixels: NDArray[Any] = dataset.pixel_array
+    return pixels
+
+
+def _rescale(dataset: Any) -> tuple[float, float]:
+    """Return the slope and the intercept by which stored pixels are scaled."""
+    slope = float(dataset.get("RescaleSlope", 1) or 1)
+    return slope, float(dataset.get("RescaleIntercept", 0) or 0)
+
+
+def _scaling(dataset: Any) -> str:
+    slope, intercept = _rescale(dataset)
+    unscaled = (slope, intercept) == (1, 0)
+    return "" if unscaled else f"RescaleSlope {slope:.6g} and RescaleIntercept {intercept:.6g}"

@@ -22,7 +22,7 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Triple, Volume
-from palpate.workers.body.images.claimed_size import check_stored, claimed_bytes
+from palpate.workers.body.images.claimed_size import check_end, check_stored, claimed_bytes
 from palpate.workers.body.images.dicom_images import read_dicom
 from palpate.workers.body.images.nifti_images import read_nifti
 from palpate.workers.body.images.nrrd_images import read_nrrd
@@ -53,6 +53,7 @@ def read_numpy(path: Path) -> Scan:
             check_stored(size, path.stat().st_size - file.tell(), 1, str(path))
         file.seek(0)
         values = np.lib.format.read_array(file, allow_pickle=False)
+        check_end(file, str(path))
     return Scan.without_frame(three_axes(values, str(path)).transpose())
 
 
@@ -84,12 +85,15 @@ class LabelImage:
         Name of the image in messages.
     anatomical : bool
         True if the frame of the file is a patient's frame.
+    remarks : tuple of str
+        What the reader noticed in a file that it accepted.
     """
 
     volume: Volume
     names: Mapping[int, str]
     where: str
     anatomical: bool
+    remarks: tuple[str, ...] = ()
 
 
 def read_volume_file(
@@ -134,9 +138,13 @@ def read_labels(
     with reading(path, kind):
         scan = reader(path)
         check_shape(scan.values, what)
-        labels = replace(scan, values=whole_numbers(scan.values, what))
+        labels = replace(scan, values=whole_numbers(scan.values, what, scan.scaling))
         volume = to_volume(labels, what, spacing_mm=spacing_mm, axes=axes)
-    return LabelImage(volume, scan.names, what, scan.anatomical)
+    if not scan.scaling:
+        return LabelImage(volume, scan.names, what, scan.anatomical, scan.remarks)
+    where = f"{what} (scaled by {scan.scaling})"
+    scaled = f"The labels are the stored numbers scaled by {scan.scaling}."
+    return LabelImage(volume, scan.names, where, scan.anatomical, (*scan.remarks, scaled))
 
 
 def _reader(path: Path) -> tuple[str, Reader]:

@@ -14,21 +14,22 @@ Names of labels are read from a header extension with a ``LabelTable``, as Total
 Connectome Workbench write it.
 """
 
+import gzip
 import html
 import re
 from dataclasses import replace
 from io import BytesIO
+from math import prod
 from pathlib import Path
 from typing import Any
 
 import nibabel as nib
 import numpy as np
 from nibabel.arrayproxy import ArrayProxy
-from nibabel.openers import ImageOpener
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
-from palpate.workers.body.images.claimed_size import DEFLATE, check_stored, claimed_bytes
+from palpate.workers.body.images.claimed_size import DEFLATE, check_end, check_stored, claimed_bytes
 from palpate.workers.body.images.scan_orientation import RAS_TO_LPS, SPACING_TOLERANCE, Scan
 
 PLACE_TOLERANCE = 0.5
@@ -125,7 +126,16 @@ _REFUSE = 40
 
 def read_nifti(path: Path) -> Scan:
     """Read a ``.nii`` or ``.nii.gz`` file."""
-    header = _header(path)
+    with _opened(path) as stream:
+        return _scan(path, stream)
+
+
+def _opened(path: Path) -> Any:
+    return gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb")
+
+
+def _scan(path: Path, stream: Any) -> Scan:
+    header = _header(path, stream)
     # Read before nibabel's checks, which silently change a zero or negative pixdim to 1.
     pixdim = np.array(header["pixdim"][1:4], dtype=float)
     bad = ~(np.isfinite(pixdim) & (pixdim > 0))
@@ -133,7 +143,10 @@ def read_nifti(path: Path) -> Scan:
     header.check_fix(error_level=_REFUSE)
     _check_size(path, header)
 
-    values = np.asanyarray(ArrayProxy(str(path), header))
+    values = np.asanyarray(ArrayProxy(stream, header))
+    bytes_each = header.get_data_dtype().itemsize
+    stream.seek(header.get_data_offset() + bytes_each * prod(header.get_data_shape()))
+    check_end(stream, str(path))
     if any(size != 1 for size in values.shape[3:]):
         raise InputError(
             f"{path} has {values.ndim} axes, shape {values.shape}; a volume has 3. "
@@ -143,7 +156,8 @@ def read_nifti(path: Path) -> Scan:
     unit = _unit_mm(header, path)
     pixdim[bad] = np.nan
     check_forms(header, unit * pixdim, unit, str(path))
-    return replace(_place(values, header, unit, unit * pixdim), names=_names(header))
+    placed = _place(values, header, unit, unit * pixdim)
+    return replace(placed, names=_names(header), scaling=_scaling(header))
 
 
 def _check_size(path: Path, header: Any) -> None:
@@ -156,12 +170,18 @@ def _check_size(path: Path, header: Any) -> None:
         )
     shape, dtype = header.get_data_shape(), header.get_data_dtype()
     size = claimed_bytes(shape, dtype.itemsize, str(path))
-    with np.errstate(all="ignore"):
-        slope, inter = header.get_slope_inter()
-    if (slope, inter) not in ((None, None), (1.0, 0.0)):  # scaled voxels are doubles
+    if _scaling(header):  # scaled voxels are doubles
         claimed_bytes(shape, max(dtype.itemsize, 8), str(path))
     ratio = DEFLATE if path.suffix.lower() == ".gz" else 1
     check_stored(size, path.stat().st_size - (offset if ratio == 1 else 0), ratio, str(path))
+
+
+def _scaling(header: Any) -> str:
+    """Return how a header scales the stored numbers; empty if it does not."""
+    with np.errstate(all="ignore"):
+        slope, inter = header.get_slope_inter()
+    unscaled = (slope, inter) in ((None, None), (1.0, 0.0))
+    return "" if unscaled else f"scl_slope {slope:.6g} and scl_inter {inter:.6g}"
 
 
 def _unit_mm(header: Any, path: Path) -> float:
@@ -186,9 +206,8 @@ def _names(header: Any) -> dict[int, str]:
     return names
 
 
-def _header(path: Path) -> Any:
-    with ImageOpener(str(path), "rb") as stream:
-        start = BytesIO(stream.read(HEADER_BYTES))  # an extension can claim any size
+def _header(path: Path, stream: Any) -> Any:
+    start = BytesIO(stream.read(HEADER_BYTES))  # an extension can claim any size
     for kind in (nib.Nifti1Header, nib.Nifti2Header):
         if kind.may_contain_header(start.getvalue()[: nib.Nifti2Header.sizeof_hdr]):
             return kind.from_fileobj(start, check=False)

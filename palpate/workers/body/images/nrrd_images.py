@@ -11,11 +11,10 @@ and the position is unknown; a header that nevertheless has an origin is refused
 follow 3D Slicer's segmentations (``.seg.nrrd``).
 """
 
-import bz2
 import gzip
+import io
 import re
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
@@ -26,6 +25,7 @@ from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
+from palpate.workers.body.images.bzip2_stream import Bzip2Stream
 from palpate.workers.body.images.claimed_size import BZIP2, DEFLATE, check_stored, claimed_bytes
 from palpate.workers.body.images.scan_orientation import (
     RAS_TO_LPS,
@@ -216,16 +216,15 @@ def _expanded(
         )
     before = max(skip, 0)
     check_stored(size + before, held, DEFLATE if encoding in _GZIP else BZIP2, str(path))
-    stream: Any = gzip.GzipFile(fileobj=file) if encoding in _GZIP else bz2.BZ2File(file)
+    zipped = encoding in _GZIP
+    stream: Any = gzip.GzipFile(fileobj=file) if zipped else io.BufferedReader(Bzip2Stream(file))
     while before > 0 and (passed := len(stream.read(min(before, 2**20)))):
         before -= passed
     out = bytearray(size)
     view, done = memoryview(out), 0
     while done < size and (count := stream.readinto(view[done : done + 2**20])):
         done += count
-    more = b""
-    with suppress(OSError, EOFError):  # bytes after the stream are not voxels
-        more = stream.read(1)
+    more = stream.read(1)  # at the end of the stream its checksum and length are compared
     if done < size or more:
         stated = "fewer" if done < size else "more"
         raise ValueError(f"it holds {stated} voxels than its header states, {size} bytes")
@@ -255,7 +254,7 @@ def read_nrrd(path: Path) -> Scan:
     what = str(path)
     values, header = read_nrrd_file(path)
     segments = _segments(header)
-    _refuse_layers(segments, values.shape, what)
+    _refuse_layers(segments, header, values.shape, what)
     scan = (
         _without_directions(values, header, what)
         if header.get("space directions") is None
@@ -327,17 +326,29 @@ def _segments(header: Mapping[str, Any]) -> dict[int, dict[str, str]]:
 
 
 def _refuse_layers(
-    segments: Mapping[int, Mapping[str, str]], shape: tuple[int, ...], what: str
+    segments: Mapping[int, Mapping[str, str]],
+    header: Mapping[str, Any],
+    shape: tuple[int, ...],
+    what: str,
 ) -> None:
-    layers = {segment.get("Layer", "0") for segment in segments.values()}
-    if segments and (len(layers) > 1 or (len(shape) == 4 and shape[0] > 1)):
+    named = {segment.get("Layer", "0") for segment in segments.values()}
+    layers = max([len(named), *_list_sizes(header, shape)])
+    if segments and layers > 1:
         raise InputError(
-            f"{what} has segments in {max(len(layers), shape[0])} layers, because they overlap; a "
-            "voxel can have one label only. In 3D Slicer, set masking to 'Overwrite: all' or "
+            f"{what} has segments in {layers} layers, because they overlap; a voxel can have one "
+            "label only. In 3D Slicer, set masking to 'Overwrite: all' or "
             "remove the overlap (Logical operators: subtract), then export it as a label map: "
             "Segment Editor, Segmentations, 'Export visible segments to binary labelmap', and "
             "save that as .nrrd with its colour table (give it with --labels FILE.ctbl)."
         )
+
+
+def _list_sizes(header: Mapping[str, Any], shape: tuple[int, ...]) -> list[int]:
+    """Return the sizes of axes beyond three that have no direction, such as a list of layers."""
+    steps = header.get("space directions")
+    if steps is None or len(shape) < 4:
+        return []
+    return [n for n, step in zip(shape, steps, strict=False) if np.isnan(step).any()]
 
 
 def _names(segments: Mapping[int, Mapping[str, str]], what: str) -> dict[int, str]:

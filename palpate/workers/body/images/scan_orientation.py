@@ -55,6 +55,10 @@ class Scan:
         superior are defined.
     names : mapping of int to str
         Names of labels, if the file has them.
+    scaling : str
+        Fields of the header that scale the stored numbers, with their values; empty if none do.
+    remarks : tuple of str
+        What the file states that was not used, for whoever imports it.
     """
 
     values: NDArray[Any]
@@ -65,6 +69,8 @@ class Scan:
     place_known: bool = True
     anatomical: bool = True
     names: Mapping[int, str] = field(default_factory=dict)
+    scaling: str = ""
+    remarks: tuple[str, ...] = ()
 
     @classmethod
     def without_frame(cls, values: NDArray[Any], spacing_mm: ArrayLike | None = None) -> "Scan":
@@ -144,10 +150,18 @@ def check_shape(values: NDArray[Any], what: str) -> None:
         )
 
 
-def whole_numbers(values: NDArray[Any], what: str) -> NDArray[Any]:
+def whole_numbers(values: NDArray[Any], what: str, scaling: str = "") -> NDArray[Any]:
     """Return labels as native integers.
 
     Floats are rounded if all are within `LABEL_TOLERANCE` of a whole number.
+
+    Parameters
+    ----------
+    values : ndarray
+    what : str
+        Name of the image in messages.
+    scaling : str, optional
+        See `Scan`.
 
     Raises
     ------
@@ -165,13 +179,13 @@ def whole_numbers(values: NDArray[Any], what: str) -> NDArray[Any]:
         )
     low, high = np.inf, -np.inf
     for part in values:
-        _refuse_fractions(part, what)
+        _refuse_fractions(part, what, scaling)
         low, high = min(low, float(part.min())), max(high, float(part.max()))
     kind = _smallest_integer(np.rint(low), np.rint(high), what)
     return np.rint(values).astype(kind)
 
 
-def _refuse_fractions(part: NDArray[Any], what: str) -> None:
+def _refuse_fractions(part: NDArray[Any], what: str, scaling: str) -> None:
     """Raise InputError if a value is not finite, or not a whole number."""
     finite = np.isfinite(part)
     if finite.all():
@@ -186,6 +200,11 @@ def _refuse_fractions(part: NDArray[Any], what: str) -> None:
         if example == "NaN"
         else "Segment the image first; resample label maps with nearest neighbour."
     )
+    if scaling:
+        advice = (
+            f"Its header scales the stored numbers by {scaling}: if those are the labels, save it "
+            "without scaling (slope 1, intercept 0). Otherwise segment the image first."
+        )
     raise InputError(
         f"{what} is not a label map: it contains {example}, but labels must be whole numbers. "
         f"{advice}"

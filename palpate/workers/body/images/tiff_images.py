@@ -246,7 +246,7 @@ _OME_FILE = re.compile(r"""<(?:\w+:)?UUID\b[^>]*?\bFileName=["']([^"']*)["'][^>]
 _OME_NUMBER = re.compile(
     r"""\b(Size[XYZCT]|NumPlanes|PlaneCount|IFD|First[ZCT])=["']\s*([^"']*)["']"""
 )
-_DEFLATE = (8, 32946)
+_DEFLATE, _PACKBITS = (8, 32946), 32773
 TIFF_SUFFIXES = (".tif", ".tiff")
 
 
@@ -325,9 +325,23 @@ def _check_ome(path: Path, tiff: tifffile.TiffFile) -> None:
 
 
 def _check_segments(path: Path, series: tifffile.TiffPageSeries) -> None:
-    """Raise InputError if a compressed strip or tile contains more than a page needs."""
+    """Raise InputError if a compressed strip or tile does not contain what its page needs.
+
+    Deflate and LZMA have checksums, which the decoder compares. PackBits has none, and a changed
+    length shifts all that follows: its strips must expand to the size that the page states.
+    """
     for page in series.pages:
-        if page is None or page.compression not in _DEFLATE:
+        if page is None:
+            continue
+        if page.compression not in tifffile.TIFF.DECOMPRESSORS:
+            kind = getattr(page.compression, "name", f"method {page.compression}")
+            raise InputError(
+                f"{path} is compressed by {kind}, which cannot be read here. Save it without "
+                "compression, or with deflate (zip)."
+            )
+        if page.compression == _PACKBITS:
+            _check_packbits(path, page)
+        if page.compression not in _DEFLATE:
             continue
         most = max(page.nbytes, SLACK_BYTES)
         for offset, count in zip(page.dataoffsets, page.databytecounts, strict=False):
@@ -341,6 +355,24 @@ def _check_segments(path: Path, series: tifffile.TiffPageSeries) -> None:
                     f"{path} is damaged: a compressed part of it has more pixels than its page. "
                     "Export it again."
                 )
+
+
+def _check_packbits(path: Path, page: Any) -> None:
+    first = page.keyframe
+    for index, (offset, count) in enumerate(
+        zip(page.dataoffsets, page.databytecounts, strict=False)
+    ):
+        _, _, (depth, rows, columns, samples) = first.decode(None, index)
+        row_bytes = -(-columns * samples * first.bitspersample // 8)
+        padded = rows if first.is_tiled else max(rows, first.rowsperstrip)
+        page.parent.filehandle.seek(offset)
+        stored = page.parent.filehandle.read(count)
+        size = len(tifffile.TIFF.DECOMPRESSORS[_PACKBITS](stored))
+        if size not in (depth * rows * row_bytes, depth * padded * row_bytes):
+            raise InputError(
+                f"{path} is damaged: part {index + 1} of a page expands to {size} bytes, expected "
+                f"{depth * rows * row_bytes} (PackBits). Copy or export it again."
+            )
 
 
 def _folder(folder: Path) -> tuple[NDArray[Any], FloatArray]:

@@ -13,7 +13,8 @@ import tifffile
 from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
-from palpate.workers.body.images.image_formats import read_volume_file
+from palpate.workers.body.images.image_formats import read_labels, read_volume_file
+from palpate.workers.body.images.named_labels import label_tissues
 
 UNIT = (1.0, 1.0, 1.0)
 LPS = {
@@ -204,6 +205,40 @@ class TestVoxels:
         nib.save(image, tmp_path / "a.nii")
         volume = read_volume_file(tmp_path / "a.nii")
         np.testing.assert_array_equal(volume.values, 2 * body.astype(int) - 1)
+
+    @pytest.mark.parametrize(
+        ("name", "fields"),
+        [
+            ("a.nii", "scl_slope {} and scl_inter 0"),
+            ("s", "RescaleSlope {} and RescaleIntercept 0"),
+        ],
+    )
+    def test_names_the_fields_that_scale_labels(
+        self, tmp_path: Path, write_series: Any, name: str, fields: str
+    ) -> None:
+        def write(slope: float) -> None:
+            def scaled(_: int, image: Any) -> None:
+                image.RescaleSlope, image.RescaleIntercept = f"{slope:.10f}", 0
+
+            write_series(tmp_path / "s", body.astype(np.uint16), change=scaled)
+            image = nib.Nifti1Image(body.transpose(), np.diag([-1.0, -1.0, 1.0, 1.0]))
+            image.header.set_slope_inter(slope, 0)
+            nib.save(image, tmp_path / "a.nii")
+
+        body = np.random.default_rng(5).integers(0, 4, (6, 5, 4)).astype(np.uint8)
+        write(2.0)
+        labels, said = read_labels(tmp_path / name), f"scaled by {fields.format(2)}"
+        assert labels.remarks == (f"The labels are the stored numbers {said}.",)
+        with pytest.raises(
+            InputError, match=rf"{said}\) has labels that are not tissue numbers: 6"
+        ):
+            label_tissues(labels, None)
+        write(1 / 255)
+        said = (
+            f"scales the stored numbers by {fields.format('0.00392157')}: if those are the labels"
+        )
+        with pytest.raises(InputError, match=said):
+            read_labels(tmp_path / name)
 
     def test_refuses_complex_numbers_and_pickles(self, tmp_path: Path) -> None:
         np.save(tmp_path / "a.npy", np.zeros((3, 3, 3), complex))

@@ -5,10 +5,15 @@ converts pydantic's errors to a message for the user, and `validated` raises it 
 `InputError`. The keys of one organ are in its own ``spec.py``.
 """
 
+import math
+import re
 import reprlib
 from abc import abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import reduce
+from operator import getitem
+from typing import Annotated, Any, ClassVar, Literal, LiteralString, Self, TypeVar
+from unicodedata import normalize
 
 from pydantic import (
     AfterValidator,
@@ -18,10 +23,12 @@ from pydantic import (
     SerializerFunctionWrapHandler,
     StringConstraints,
     ValidationError,
+    ValidatorFunctionWrapHandler,
     field_validator,
     model_serializer,
     model_validator,
 )
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from palpate.storage.errors import InputError
 from palpate.workers.file_keys import (
@@ -34,8 +41,10 @@ from palpate.workers.file_keys import (
     one_of,
     without_empty_keys,
 )
+from palpate.workers.input_files import StrictLoader
 from palpate.workers.mechanics.model_parameters import Vocabulary, unknown_name
 from palpate.workers.plugins import Group, plugin
+from palpate.workers.yaml_scalars import WrittenValues, is_text_in_older_yaml, number_to_write
 
 
 def checked(check: Callable[[Any], object]) -> AfterValidator:
@@ -61,12 +70,37 @@ def checked_name(group: Group, name: str) -> str:
 
 DEFAULT_OBJECTIVE = "gsf"
 Identifiable = Literal["absolute", "ratio"]
+Misread = tuple[tuple[int | str, ...], Any, LiteralString]
+"""Path, value and what was expected instead."""
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 # Names of studies and of stored images, which become file names.
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
+Name = Annotated[str, StringConstraints(pattern=NAME_PATTERN)]
 LawName = Annotated[str, AfterValidator(lambda name: checked_name("laws", name))]
+
+
+LARGEST_NUMBER = 1e30
+"""Largest number in any unit. The square of a force of 1e300 N is infinite."""
+
+
+def _misread(given: Any, value: Any, path: tuple[int | str, ...] = ()) -> Iterator[Misread]:
+    """Yield what pydantic has read as another kind of value: true as 1, yes as true."""
+    if isinstance(value, bool) and not isinstance(given, bool):
+        yield path, given, "expected true or false"
+    elif isinstance(given, bool) and not isinstance(value, bool):
+        yield path, given, "expected a number or a text, not true or false"
+    elif isinstance(value, float) and math.isfinite(value) and abs(value) > LARGEST_NUMBER:
+        yield path, given, "expected a number of at most 1e30"
+    elif isinstance(given, Mapping) and isinstance(value, Mapping) and len(given) == len(value):
+        for key, read, part in zip(given, value, value.values(), strict=True):
+            if isinstance(key, bool):
+                yield (*path, str(read)), key, "expected a number or a text as key"
+            yield from _misread(given[key], part, (*path, str(key)))
+    elif isinstance(given, list | tuple) and isinstance(value, list | tuple):
+        for number, (item, part) in enumerate(zip(given, value, strict=False)):
+            yield from _misread(item, part, (*path, number))
 
 
 class Door(BaseModel):
@@ -101,6 +135,18 @@ class Door(BaseModel):
                 )
             return without_empty_keys(cls, data)
         return data
+
+    @field_validator("*", mode="wrap")
+    @classmethod
+    def _no_other_kind(cls, given: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+        value = handler(given)
+        problems = [
+            InitErrorDetails(type=PydanticCustomError("misread", text), loc=path, input=item)
+            for path, item, text in _misread(given, value)
+        ]
+        if problems:
+            raise ValidationError.from_exception_data(cls.__name__, problems)
+        return value
 
     @model_validator(mode="after")
     def _exactly_one_of_each_pair(self) -> Self:
@@ -280,7 +326,7 @@ class ScoreSpec(Door):
 Record = TypeVar("Record", bound=BaseModel)
 
 
-def validated(model: type[Record], data: Any, where: str = "") -> Record:
+def validated(model: type[Record], data: Any, where: str = "", text: str = "") -> Record:
     """Validate `data` as a `model`.
 
     Parameters
@@ -291,17 +337,38 @@ def validated(model: type[Record], data: Any, where: str = "") -> Record:
         Content of YAML or JSON.
     where : str, optional
         Name of the file, for the message.
+    text : str, optional
+        The YAML that `data` was read from, for the line of each value in the message.
 
     Raises
     ------
     InputError
         If any key is invalid; lists each with the value found and the value expected.
     """
+    written = WrittenValues(text, StrictLoader)
     try:
         return model.model_validate(data)
     except ValidationError as error:
+        if _with_text_as_written(data, error, written):
+            return validated(model, data, where, text)
         keys = model.record_for(data) if issubclass(model, Door) else model
-        raise InputError(f"{_head(error, where or 'This')}:\n{explain(error, keys)}") from error
+        problems = explain(error, keys, written)
+        raise InputError(f"{_head(error, where or 'This')}:\n{problems}") from error
+
+
+def _with_text_as_written(data: Any, error: ValidationError, written: WrittenValues) -> bool:
+    """Replace numbers by their text where text is asked; return True if there are any.
+
+    Studies written as YAML 1.1 may have names such as 1e3 and 08, which are text there.
+    """
+    replaced = False
+    for problem in error.errors(include_url=False):
+        source = written.source(problem["loc"])
+        if problem["type"] == "string_type" and is_text_in_older_yaml(source):
+            *above, last = problem["loc"]
+            inside = reduce(getitem, above, data)
+            inside[last], replaced = source, True
+    return replaced
 
 
 def _head(error: ValidationError, where: str) -> str:
@@ -310,10 +377,14 @@ def _head(error: ValidationError, where: str) -> str:
     return f"{where} does not make sense"
 
 
-def explain(error: ValidationError, model: type[BaseModel] = BaseModel) -> str:
+def explain(
+    error: ValidationError,
+    model: type[BaseModel] = BaseModel,
+    written: WrittenValues = WrittenValues("", StrictLoader),  # noqa: B008 - never changed
+) -> str:
     """Return one line per invalid key: its path, the expected value and the value found.
 
-    `model` describes missing keys.
+    `model` describes missing keys; `written` has the lines of the values.
 
     Examples
     --------
@@ -325,7 +396,7 @@ def explain(error: ValidationError, model: type[BaseModel] = BaseModel) -> str:
     ...     print(explain(error))
       force_n: Input should be greater than 0, found -3
     """
-    return "\n".join(_line(e, model) for e in errors_with_pairs(error, model))
+    return "\n".join(_line(e, model, written) for e in errors_with_pairs(error, model))
 
 
 # Lists that refer to lists can exhaust memory when expanded.
@@ -340,10 +411,13 @@ _EXPECTED = {
     "dict_type": "expected keys with values",
     "tuple_type": "expected a list in brackets, such as [5, 20]",
     "list_type": "expected a list in brackets, such as [1, 2]",
-}
+    "string_type": "expected a text",
+} | dict.fromkeys(("float_type", "float_parsing"), "expected a number, such as 12.5")
+_EXPECTED |= dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "expected a whole number")
+_EXPECTED |= dict.fromkeys(("bool_type", "bool_parsing"), "expected true or false")
 
 
-def _line(error: Mapping[str, Any], model: type[BaseModel]) -> str:
+def _line(error: Mapping[str, Any], model: type[BaseModel], written: WrittenValues) -> str:
     # A part such as "tuple[float, float]" is one of the forms that a value may have.
     parts = [str(part) for part in error["loc"]]
     path = ".".join(part for part in parts if not part.startswith(("constrained-", "tuple[")))
@@ -361,6 +435,48 @@ def _line(error: Mapping[str, Any], model: type[BaseModel]) -> str:
         expected = f"expected at least {least} value{'s' if least > 1 else ''}"
     else:
         expected = _EXPECTED.get(error["type"], error["msg"])
+        if limits.get("pattern") == NAME_PATTERN:
+            expected = (
+                "expected at most 64 letters (a to z, A to Z), digits, '.', '_' and '-', with a "
+                "letter or digit first"
+            )
     input_text = _SHORT.repr(error["input"])
     input_text = input_text if len(input_text) <= 60 else f"{input_text[:57]}..."
-    return f"{start}{expected}, found {input_text}"
+    line = written.line(error["loc"])
+    place = "" if line is None else f" on line {line}"
+    advice = _instead(error, written.source(error["loc"]))
+    return f"{start}{expected}, found {input_text}{place}{f': {advice}' if advice else ''}"
+
+
+def _instead(error: Mapping[str, Any], source: str) -> str:
+    """Return what to write instead of an invalid value, or ""."""
+    kind, value = error["type"], error["input"]
+    if kind in ("float_parsing", "int_parsing") and isinstance(value, str):
+        return number_to_write(value)
+    if kind == "string_type" and isinstance(value, int | float):
+        text = source or ("true" if value is True else "false" if value is False else str(value))
+        return f'write "{text}" in quotes'
+    if kind == "too_long" and re.search(r"\d,\d", source):
+        return "decimals have a point, such as 5.0"
+    if kind == "string_pattern_mismatch" and error["ctx"]["pattern"] == NAME_PATTERN:
+        name = plain_name(str(value))
+        return f"write {name}" if name else ""
+    return ""
+
+
+_SPELLED = str.maketrans(
+    {"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss", "ø": "o"}
+)
+
+
+def plain_name(name: str) -> str:
+    """Return the closest valid `Name`, or "".
+
+    Examples
+    --------
+    >>> plain_name("Müller 1"), plain_name("été/left")
+    ('Mueller_1', 'ete_left')
+    """
+    spelled = normalize("NFKD", normalize("NFC", name).translate(_SPELLED))
+    plain = spelled.encode("ascii", "ignore").decode().strip()
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", plain).lstrip("._-").rstrip("_")[:64]

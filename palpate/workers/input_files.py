@@ -11,13 +11,15 @@ almost any exception on damaged files. Readers use
 Ordinary parsers keep the last of two equal keys and silently drop the first, so a force that is
 given twice could be wrong without anyone noticing. Every file, upload and request is parsed here,
 into dict, list, str, int, float, bool and None; other YAML tags are refused, and dates are read as
-text. Nesting, whole numbers and the expanded size of aliases are limited.
+text. Numbers are those of YAML 1.2, see `yaml_scalars`. Nesting, whole numbers and the expanded
+size of aliases are limited. `dump_yaml` writes what `parse_yaml` reads.
 """
 
 import errno
 import json
 import logging
 import os
+import re
 import stat
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
@@ -28,6 +30,12 @@ from typing import Any
 import yaml
 
 from palpate.storage.errors import InputError, PalpateError
+from palpate.workers.yaml_scalars import (
+    UnclearValueError,
+    core_number,
+    core_resolvers,
+    refuse_decimal_commas,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -180,7 +188,7 @@ MOST_NODES = 2_000_000
 LARGEST_INT = 2**63 - 1
 """Largest whole number; seeds of blind cases have as many bits."""
 _TAG = "tag:yaml.org,2002:"
-_MERGE, _DATE = f"{_TAG}merge", f"{_TAG}timestamp"
+_MERGE = f"{_TAG}merge"
 _PLAIN = {f"{_TAG}{kind}" for kind in ("null", "bool", "int", "float", "str", "seq", "map")}
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster with libyaml
 
@@ -190,18 +198,16 @@ class _RepeatedKeyError(Exception):
 
 
 class StrictLoader(_Loader):
-    """Safe YAML loader for plain values that refuses repeated keys."""
+    """Safe YAML 1.2 loader for plain values that refuses repeated keys and unclear numbers."""
 
     yaml_constructors = {  # noqa: RUF012 - as in its base class
         tag: make for tag, make in _Loader.yaml_constructors.items() if tag is None or tag in _PLAIN
     }
-    yaml_implicit_resolvers = {  # noqa: RUF012
-        first: [(tag, pattern) for tag, pattern in resolvers if tag != _DATE]
-        for first, resolvers in _Loader.yaml_implicit_resolvers.items()
-    }
+    yaml_implicit_resolvers = core_resolvers(_Loader.yaml_implicit_resolvers)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """Return the mapping of a node; see `yaml.SafeLoader`."""
+        refuse_decimal_commas(node)
         lines: dict[str, int] = {}
         for key_node, _ in node.value:
             if key_node.tag == _MERGE or not isinstance(key_node, yaml.ScalarNode):
@@ -214,15 +220,35 @@ class StrictLoader(_Loader):
         mapping: dict[Hashable, Any] = super().construct_mapping(node, deep=deep)
         return mapping
 
-    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
-        """Return the whole number of a node; see `yaml.SafeLoader`."""
-        number: int = super().construct_yaml_int(node)
-        if abs(number) > LARGEST_INT:
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        """Return the number of a node; see `core_number`."""
+        older = self.construct_yaml_int if node.tag.endswith("int") else self.construct_yaml_float
+        number = core_number(node, lambda: older(node))
+        if isinstance(number, int) and abs(number) > LARGEST_INT:
             raise ValueError(f"a whole number on line {node.start_mark.line + 1} is too large")
         return number
 
 
-StrictLoader.add_constructor(f"{_TAG}int", StrictLoader.construct_yaml_int)
+for _kind in ("int", "float"):
+    StrictLoader.add_constructor(f"{_TAG}{_kind}", StrictLoader.construct_number)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Safe YAML dumper that quotes text which YAML 1.1 or 1.2 reads as something else."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012 - as in its base class
+        first: [
+            *yaml.SafeDumper.yaml_implicit_resolvers.get(first, []),
+            *StrictLoader.yaml_implicit_resolvers.get(first, []),
+        ]
+        for first in StrictLoader.yaml_implicit_resolvers
+    }
+
+
+def dump_yaml(data: Any) -> str:
+    """Return plain values as YAML, with keys in their order."""
+    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
+    return text
 
 
 def parse_yaml(text: str, where: str) -> Any:
@@ -244,12 +270,32 @@ def parse_yaml(text: str, where: str) -> Any:
         return yaml.load(text, StrictLoader)
     except _RepeatedKeyError as error:
         raise InputError(f"{where}: {error}") from None
+    except UnclearValueError as error:
+        raise InputError(f"{where}: {error.message(text)}.") from None
     except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
         if is_too_deep(error):
             raise InputError(f"{where} is nested too deeply.") from None
-        raise InputError(f"{where} is not valid YAML: {error}.") from error
+        raise InputError(f"{where} is not valid YAML: {yaml_problem(error, text)}.") from error
     except RecursionError:
         raise InputError(f"{where} is nested too deeply.") from None
+
+
+def yaml_problem(error: Exception, text: str) -> str:
+    """Return one line about an error in YAML: the problem, its line and, for a tab, the remedy."""
+    mark = getattr(error, "problem_mark", None)
+    if mark is None:
+        return reason_of(error)
+    line = mark.line + 1
+    written = text[mark.index :] if mark.index < len(text) else ""
+    if re.match(r" *\t", written) or re.match(r"\s*\t", _line_of(text, mark.line)):
+        return f"line {line} is indented with a tab. Replace each tab by blanks"
+    parts = (getattr(error, "context", None), getattr(error, "problem", None) or reason_of(error))
+    return f"{': '.join(part for part in parts if part)}, on line {line}"
+
+
+def _line_of(text: str, line: int) -> str:
+    lines = text.split("\n")
+    return lines[line] if line < len(lines) else ""
 
 
 def is_too_deep(error: Exception) -> bool:
@@ -298,7 +344,10 @@ def parse_json(text: str | bytes, where: str) -> Any:
         If the text is not JSON, or a key is repeated.
     """
     try:
-        return json.loads(text, object_pairs_hook=_json_object, parse_int=_whole_number)
+        data = json.loads(text, object_pairs_hook=_json_object, parse_int=_whole_number)
+        if re.search(rb"\\u[dD][89a-fA-F]", text.encode() if isinstance(text, str) else text):
+            json.dumps(data, ensure_ascii=False).encode()  # half a character cannot be
+        return data
     except _RepeatedKeyError as error:
         raise InputError(f"{where}: {error}") from None
     except ValueError as error:

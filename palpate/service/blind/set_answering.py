@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from palpate.service.blind.diagnosed_case import (
     CASE_FILE,
@@ -60,6 +59,7 @@ from palpate.storage.store import open_store
 from palpate.storage.stored_arrays import Arrays
 from palpate.storage.values import FloatArray, Triple
 from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
+from palpate.workers.input_files import dump_yaml
 from palpate.workers.tasks.diagnosis_store import (
     CalibrationRecord,
     DiagnosisRequest,
@@ -441,7 +441,7 @@ def along_y(case: Path, copy: Path) -> Path:
         copy.mkdir(parents=True, exist_ok=True)
         for file in [scans["reference"], *(load["volume"] for load in kept)]:
             shutil.copy2(case / file, copy / file)
-        (copy / CASE_FILE).write_text(yaml.safe_dump(said, sort_keys=False), encoding="utf-8")
+        (copy / CASE_FILE).write_text(dump_yaml(said), encoding="utf-8")
     return copy
 
 

@@ -26,7 +26,11 @@ def find_study(given: Path | None) -> Path:
     if (RUNS / given).is_dir():
         return RUNS / given
     known = ", ".join(str(folder) for folder in _studies()) or "none"
-    raise InputError(f"There is no study {given}. Studies in {RUNS.absolute()}: {known}.")
+    file = given.with_name(f"{given.name}.yaml")
+    named = (
+        f" {file} is a study file: give {file}, or the name under its key name." * file.is_file()
+    )
+    raise InputError(f"There is no study {given}. Studies in {RUNS.absolute()}: {known}.{named}")
 
 
 def load_spec(given: Path) -> StudySpec:

@@ -13,8 +13,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Self
 
-import yaml
-
 from palpate.service.installed_packages import versions
 from palpate.service.search.search_keys import LEAST_SQUARES
 from palpate.service.study.study_keys import StudySpec, differences
@@ -34,6 +32,7 @@ from palpate.storage.journal_records import (
     record_of,
 )
 from palpate.storage.values import PreparedBody, PreparedTarget
+from palpate.workers.input_files import dump_yaml
 
 
 @dataclass(frozen=True)
@@ -358,7 +357,7 @@ class StudyFolder:
         log = self.check()
         if log.study is not None and log.study.spec_digest == self.spec.digest:
             return log
-        text = yaml.safe_dump(self.spec.as_dict(), sort_keys=False, allow_unicode=True)
+        text = dump_yaml(self.spec.as_dict())
         write_file(self.layout.study, (HEAD + text).encode())
         journal.append(StudyRecord(self.spec.digest, self.spec.as_dict(), versions()).to_json())
         return log

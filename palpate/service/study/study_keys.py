@@ -332,7 +332,19 @@ def parse_spec(text: str, where: str, folder: Path) -> StudySpec:
         If it is not YAML, or has an invalid key or value.
     """
     with reading(where, "a study"):
-        return validated(StudySpec, study_keys(text, where, folder), where)
+        return spec_from_keys(parse_yaml(text, where), where, folder, text)
+
+
+def spec_from_keys(data: Any, where: str, folder: Path, text: str = "") -> StudySpec:
+    """Validate the keys of a study, read from `text` if that is given; they may be modified.
+
+    Raises
+    ------
+    InputError
+        If there are no keys, or one is invalid.
+    """
+    with reading(where, "a study"):
+        return validated(StudySpec, _with_absolute_paths(data, where, folder), where, text)
 
 
 def study_keys(text: str, where: str, folder: Path) -> dict[str, Any]:
@@ -343,7 +355,10 @@ def study_keys(text: str, where: str, folder: Path) -> dict[str, Any]:
     InputError
         If the text is not YAML, or has no keys.
     """
-    data = parse_yaml(text, where)
+    return _with_absolute_paths(parse_yaml(text, where), where, folder)
+
+
+def _with_absolute_paths(data: Any, where: str, folder: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         kind = "nothing" if data is None else type(data).__name__
         raise InputError(f"{where} must have keys such as name, case and search, found {kind}.")
@@ -428,7 +443,7 @@ def read_case(path: Path) -> NamedCase:
     with reading(where, "a study"):
         data = study_keys(text, where, path.resolve().parent)
         if data.keys() >= SEARCHED:
-            spec = validated(StudySpec, data, where)
+            spec = validated(StudySpec, data, where, text)
             return NamedCase(spec.name, spec.case)
         for key in data:
             if key not in StudySpec.model_fields:
@@ -436,7 +451,7 @@ def read_case(path: Path) -> NamedCase:
                     f"{where}: {unknown_name('key', str(key), StudySpec.model_fields)}"
                 )
         stated = {key: data[key] for key in ("name", "case") if key in data}
-        named_case: Any = validated(_named_case_of(organ_in(data)), stated, where)
+        named_case: Any = validated(_named_case_of(organ_in(data)), stated, where, text)
         return NamedCase(named_case.name or path.stem, named_case.case)
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from palpate.storage.values import Volume
 from palpate.workers.blind.breast_scene import NU, WALL_SPRING_KPA_PER_MM
@@ -31,6 +30,7 @@ from palpate.workers.blind.random_case import Load, Truth
 from palpate.workers.blind.scene_solution import Solution, plate_starts, solve_scene
 from palpate.workers.blind.solver.plate_equilibrium import topology_of
 from palpate.workers.blind.solver.quadratic_mesh import fine_mesh_of
+from palpate.workers.input_files import dump_yaml
 
 POINTS = 1500  # on each interface
 TIME_S = 1_000_000_000  # modification time of all files
@@ -74,7 +74,7 @@ def write_case(
     truth_folder.mkdir(parents=True, exist_ok=True)
     for name, labels in scans.items():
         _write_volume(case_folder / name, labels)
-    case = yaml.safe_dump(_case(truth, case_folder.name), sort_keys=False)
+    case = dump_yaml(_case(truth, case_folder.name))
     (case_folder / "case.yaml").write_text(case, encoding="utf-8")
     _write_truth(truth, body, solutions, truth_folder)
     for path in (*case_folder.iterdir(), *truth_folder.iterdir(), case_folder, truth_folder):

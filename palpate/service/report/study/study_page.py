@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
 from markupsafe import Markup
 
 from palpate.service.number_formatting import (
@@ -46,6 +45,7 @@ from palpate.service.study.study_progress import generations_text
 from palpate.storage.backends.atomic_files import write_file
 from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.json_digests import to_plain
+from palpate.workers.input_files import dump_yaml
 
 # Reload interval of the page of a running search, in seconds.
 REFRESH_S = 30
@@ -326,7 +326,7 @@ def _details(data: StudyData) -> dict[str, Any]:
     configuration = to_plain(data.results.spec.as_dict())
     return {
         "case": study_tables.case_table(data.results.spec.case.organ, data.results.body_facts),
-        "configuration": yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True),
+        "configuration": dump_yaml(configuration),
         "provenance": study_provenance(data),
         "glossary": STUDY_TERMS,
         "json": json.dumps(study_json(data.results), indent=2, ensure_ascii=False),

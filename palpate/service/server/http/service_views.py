@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-import yaml
-
 from palpate.service.number_formatting import label
 from palpate.service.results.results_from_journal import estimates_of
 from palpate.service.server.api_models import (
@@ -31,6 +29,7 @@ from palpate.storage.errors import PalpateError, StoreError
 from palpate.storage.json_digests import to_plain
 from palpate.workers.common_keys import DEFAULT_OBJECTIVE, validated
 from palpate.workers.comparison.score_objective import objective_named
+from palpate.workers.input_files import dump_yaml
 
 ENDED = ("finished", "failed", "cancelled")
 JOB_FILES = {
@@ -136,7 +135,7 @@ def study_view(job: Job) -> StudyView:
             for name, estimate in estimates_of(spec, None, None).items()
         ],
         score=spec.objective.axis,
-        file=yaml.safe_dump(spec.as_dict(), sort_keys=False, allow_unicode=True),
+        file=dump_yaml(spec.as_dict()),
     )
 
 

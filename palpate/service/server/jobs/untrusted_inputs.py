@@ -16,6 +16,7 @@ import re
 import threading
 from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ import yaml
 from anyio import to_thread
 
 from palpate.service.server.jobs.home_and_tokens import checked_name
-from palpate.service.study.study_keys import StudySpec, parse_spec
+from palpate.service.study.study_keys import StudySpec, spec_from_keys
 from palpate.storage.backends.atomic_files import (
     clean_leftovers,
     discard,
@@ -38,7 +39,7 @@ from palpate.storage.store import Store
 from palpate.storage.stored_arrays import has_volume, list_volumes, volume_meta
 from palpate.workers.body.images.nrrd_images import check_attached
 from palpate.workers.body.images.tiff_images import check_one_file
-from palpate.workers.input_files import is_too_deep, parse_yaml, reason_of
+from palpate.workers.input_files import is_too_deep, parse_yaml, yaml_problem
 
 MIB = 2**20
 
@@ -97,7 +98,7 @@ def parsed_text(text: str, where: str) -> Any:
     except yaml.YAMLError as error:
         if is_too_deep(error):
             raise InputError(TOO_LARGE.format(where)) from None
-        raise InputError(f"{where} is not valid YAML: {reason_of(error)}") from error
+        raise InputError(f"{where} is not valid YAML: {yaml_problem(error, text)}.") from error
     return parse_yaml(text, where)
 
 
@@ -424,21 +425,13 @@ def study_from(
     InputError
         If it is not valid, names files of the server, or is too large.
     """
-    if isinstance(given, str):
-        text, data = given, parsed_text(given, WHERE)
-    else:
-        if depth_of(given) > DEEPEST:
-            raise InputError(f"{WHERE} is nested too deeply.")
-        data = dict(given)
-        text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    text = given if isinstance(given, str) else ""
+    data = parsed_text(given, WHERE) if isinstance(given, str) else dict(given)
+    if depth_of(data) > DEEPEST:
+        raise InputError(f"{WHERE} is nested too deeply.")
+    data = deepcopy(data)  # paths are made absolute
     refuse_paths(data, WHERE)
-    try:
-        spec = parse_spec(text, WHERE, uploads.root)
-    except InputError:
-        raise
-    except Exception as error:  # from dates, numbers with a thousand digits, ...
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(f"{WHERE} is not valid YAML: {reason}") from error
+    spec = spec_from_keys(data, WHERE, uploads.root, text)
     _check_images(spec, uploads, store)
     _check_study_size(spec, limits)
     return spec

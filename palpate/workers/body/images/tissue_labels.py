@@ -394,6 +394,8 @@ def label_map(given: Any) -> Any:
 def _label_as_written(key: Any) -> int | str:
     if isinstance(key, int) and not isinstance(key, bool):
         return key
+    if isinstance(key, float) and key.is_integer():
+        return int(key)
     text = str(key).strip()
     return int(text) if re.fullmatch(r"-?\d+", text) else text
 

@@ -294,27 +294,29 @@ def read_case_file(path: Path) -> CaseFile:
     InputError
         If it cannot be read, or has an invalid key.
     """
-    data = _data(path)
+    text, data = _data(path)
     if PROSE_KEY in data:
         raise InputError(
             f"{path} describes its physics in sentences under {PROSE_KEY!r}, a form that is no "
             "longer read. Write the same settings as keys with units in case.yaml: `palpate new "
             "diagnosis NAME` writes a template, and docs/reference/keys.md lists all keys."
         )
-    return validated(CaseFile, with_current_names(data, str(path)), str(path))
+    return validated(CaseFile, with_current_names(data, str(path)), str(path), text)
 
 
-def _data(path: Path) -> Mapping[str, Any]:
+def _data(path: Path) -> tuple[str, Mapping[str, Any]]:
+    """Return the text of a case, if it is YAML, and its keys."""
     try:
         text = read_text(path)
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not a text file: {error}.") from error
-    data = parse_yaml(text, str(path)) if path.suffix in YAML else parse_json(text, str(path))
+    is_yaml = path.suffix in YAML
+    data = parse_yaml(text, str(path)) if is_yaml else parse_json(text, str(path))
     if not isinstance(data, Mapping):
         raise InputError(f"{path} is not a case: expected keys such as scans, found {text[:40]!r}.")
-    return data
+    return text if is_yaml else "", data
 
 
 def _scan(file: CaseFile, tissues: Volume) -> Volume:
@@ -344,7 +346,7 @@ class CaseReader:
         if not path.is_file() or path.suffix not in (*YAML, ".json"):
             return False
         try:
-            data = _data(path)
+            _, data = _data(path)
         except InputError:
             # Only cases are JSON: reading it reports the error.
             return path.suffix == ".json"

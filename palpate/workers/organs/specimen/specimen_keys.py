@@ -615,7 +615,7 @@ def read_spec(path: Path) -> SpecimenSpec:
     data = parse_yaml(text, str(path))
     if not isinstance(data, dict):
         raise InputError(f"{path} is not an experiment: expected keys such as organ: specimen.")
-    return validated(SpecimenSpec, data, str(path))
+    return validated(SpecimenSpec, data, str(path), text)
 
 
 def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:

@@ -75,6 +75,34 @@ def percent(share: float | None, digits: int = 1) -> str:
     return f"{'+' if share > 0 else MINUS}{size} %"
 
 
+def small_percent(share_of: float | None) -> str:
+    """Format a signed relative error, with more digits instead of 0.0 %.
+
+    Examples
+    --------
+    >>> small_percent(0.0123), small_percent(-0.0003), small_percent(0.0)
+    ('+1.2 %', '−0.03 %', '0.0 %')
+    """
+    text = percent(share_of)
+    if not share_of or text != "0.0 %":
+        return text
+    return f"{'+' if share_of > 0 else ''}{share(share_of)}"
+
+
+def beside(estimate: float | None, target: float | None) -> str:
+    """Format an estimate with the digits that tell it from its target: three to six.
+
+    Examples
+    --------
+    >>> beside(10.12, 10.0), beside(9.997, 10.0), beside(10.0, 10.0), beside(0.0, None)
+    ('10.1', '9.997', '10', '0')
+    """
+    if estimate is None or target is None or estimate == target:
+        return number(estimate, 3)
+    texts = [(number(estimate, digits), number(target, digits)) for digits in range(3, 7)]
+    return next((own for own, other in texts if own != other), texts[0][0])
+
+
 def share(part: float) -> str:
     """Format a fraction as per cent with two significant digits, or all integer digits.
 

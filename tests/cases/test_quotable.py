@@ -11,7 +11,11 @@ from palpate.service.commands.studies.report import derived_text
 from palpate.service.diagnosis.diagnosed_constants import judged_constants, summary_json
 from palpate.service.number_formatting import NONE
 from palpate.service.report.diagnosis.diagnosis_tables import constant_table
-from palpate.service.results.identification import Identification, identification_from_tangents
+from palpate.service.results.identification import (
+    Identification,
+    identification_from_scatter,
+    identification_from_tangents,
+)
 from palpate.service.results.intervals import (
     DECISIVE,
     MESH,
@@ -19,6 +23,7 @@ from palpate.service.results.intervals import (
     SearchedConstants,
     in_words,
 )
+from palpate.service.results.physical_limits import limited_reach
 from palpate.service.results.quotability_rule import EstimateFacts, quotability
 from palpate.service.results.result_records import (
     ParameterEstimate,
@@ -27,11 +32,13 @@ from palpate.service.results.result_records import (
     no_better,
 )
 from palpate.service.results.results_as_json import study_json
+from palpate.storage.errors import InputError
 from palpate.storage.json_digests import from_json
 from palpate.storage.values import FitJson
 from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
-from palpate.workers.mechanics.model_parameters import BREAST
+from palpate.workers.mechanics.model_parameters import BREAST, Vocabulary
 from palpate.workers.organs.cornea.constant_doubts import against, derived
+from palpate.workers.organs.cornea.cornea_keys import CORNEA
 from palpate.workers.organs.cornea.corneal_model import CorneaConstants
 from palpate.workers.organs.organ_protocol import Nuisance
 from tests.service.report.study_data_at_hand import results
@@ -179,6 +186,130 @@ def test_an_unfinished_search_has_no_interval() -> None:
     found = studied(identified(fit()), state="interrupted", stop_reason=None)
     assert found.estimates["E_fat"].interval is None
     assert not found.estimates["E_fat"].quotable
+
+
+# --- an estimate at its physical limit -------------------------------------------------------
+
+FROM_ZERO = {"E_fat": (0.005, 0.02), "eta_fat": (0.0, 0.1)}
+SHARED = 0.8  # correlation of the errors: more fibres, less of E_fat
+ETA_SD, E_SD = 0.007, 0.02
+
+
+def without_fibres(eta_step: float, eta_mpa: float = 0.0) -> FitJson:
+    """Return a fit near eta = 0 whose unlimited optimum is `eta_step` MPa higher."""
+    covariance = np.array([[1.0, -SHARED], [-SHARED, 1.0]]) * np.outer(
+        [E_SD, ETA_SD], [E_SD, ETA_SD]
+    )
+    hessian = np.linalg.inv(covariance)
+    # Along the valley: E_fat is at its optimum for this eta.
+    step = np.array([-SHARED * E_SD / ETA_SD * eta_step, eta_step])
+    return fit(
+        values=[0.01, eta_mpa],
+        logarithmic=[True, False],
+        hessian=hessian.tolist(),
+        gradient=(-hessian @ step).tolist(),
+    )
+
+
+def from_zero(problem: FitJson) -> StudyResults:
+    known = identification_from_tangents(SearchedConstants(BREAST, FROM_ZERO), 0, problem)
+    estimates = {
+        name: ParameterEstimate(
+            f"{name}_kpa",
+            "kPa",
+            1e3 * low,
+            1e3 * high,
+            known.constants[name].estimate,
+            None,
+            limit=BREAST[name].door_limit,
+            description=BREAST[name].description,
+        )
+        for name, (low, high) in FROM_ZERO.items()
+    }
+    return results(estimates=estimates, identification=known).judged
+
+
+def test_tissue_without_fibres_has_a_stiffness_and_an_upper_limit_of_its_fibres() -> None:
+    found = from_zero(without_fibres(eta_step=-0.5 * ETA_SD))
+    fat, fibres = found.estimates["E_fat"], found.estimates["eta_fat"]
+    assert fat.reasons == fibres.reasons == ()
+    assert fibres.interval == pytest.approx((0.0, 1.6449 * 1e3 * ETA_SD))
+    assert str(fibres) == "eta_fat < 11.51 kPa (90 %)"
+    assert fibres.limit_note == "no fibre stiffness of fat and ligaments is needed"
+    assert study_json(found)["identification"]["constants"]["eta_fat"]["identifiable"] == "limit"
+
+
+def test_interval_beside_a_limit_extends_to_the_side_that_the_limit_allows() -> None:
+    """More fibres make E_fat smaller; fewer than none cannot make it larger."""
+    interval = from_zero(without_fibres(-0.5 * ETA_SD)).estimates["E_fat"].interval
+    alone = 1.6449 * E_SD * math.sqrt(1 - SHARED**2)
+    assert interval == pytest.approx((10 * math.exp(-1.6449 * E_SD), 10 * math.exp(alone)))
+
+
+@pytest.mark.parametrize("shared", [-0.99, -0.8, -0.5, 0.2, 0.9])
+def test_intervals_beside_a_limit_contain_nine_truths_of_ten(shared: float) -> None:
+    """Truths drawn from the normal distribution, cut off at the limit."""
+    covariance = np.array([[1.0, shared], [shared, 1.0]])
+    lowest = np.array([-np.inf, 0.0])
+    down, up = limited_reach(np.array([1.0, 0.0]), 1.0, covariance, lowest)
+    draws = np.random.default_rng(3).multivariate_normal([0.0, 0.0], covariance, 100_000)
+    truths = draws[draws[:, 1] >= 0, 0]
+    assert 0.88 < np.mean((-down <= truths) & (truths <= up)) < 0.92
+
+
+def test_an_unfinished_search_at_a_limit_is_not_quoted() -> None:
+    """The sum of squares falls when fibres are added: the search has stopped too early."""
+    found = from_zero(without_fibres(eta_step=5 * ETA_SD))
+    assert "the search has not converged" in found.estimates["E_fat"].reasons
+    assert found.estimates["E_fat"].interval is None
+
+
+def test_fibres_that_the_image_requires_are_a_value_even_near_the_limit() -> None:
+    """0.9 kPa with a standard deviation of 0.07 kPa, at 1 % of the searched interval."""
+    problem = without_fibres(0.0, eta_mpa=0.0009)
+    problem["hessian"][1][1] *= 1e4
+    fibres = from_zero(problem).estimates["eta_fat"]
+    assert fibres.quotable and not fibres.one_sided
+    assert fibres.interval is not None and 0.7 < fibres.interval[0] < 0.9
+
+
+def test_fibres_that_the_image_does_not_see_have_no_limit() -> None:
+    problem = without_fibres(0.0)
+    problem["hessian"] = [[1 / E_SD**2, 0.0], [0.0, 25.0]]  # a standard deviation of 200 kPa
+    found = from_zero(problem)
+    assert found.estimates["eta_fat"].reasons == ("no interval is known",)
+    assert found.estimates["E_fat"].quotable
+
+
+def test_a_lower_bound_above_the_limit_is_still_a_bound() -> None:
+    limit = {"identifiable": "limit", "interval": (50.0, 60.0), "limit": 0.0}
+    assert reasons(value=50.0, searched=(50.0, 200.0), **limit) == (
+        "at the lower bound of the searched interval (50 kPa)",
+    )
+    assert reasons(value=0.0, searched=(0.0, 200.0), **limit | {"interval": (0.0, 12.0)}) == ()
+
+
+@pytest.mark.parametrize("vocabulary", [BREAST, CORNEA], ids=["breast", "cornea"])
+def test_every_parameter_that_may_be_zero_has_a_limit(vocabulary: Vocabulary) -> None:
+    """A search from the limit cannot be widened, and one from elsewhere can."""
+    for parameter in vocabulary:
+        if parameter.limit is None:
+            continue
+        with pytest.raises(InputError, match="at least"):
+            parameter.check_bounds((parameter.limit - 1e-6, parameter.upper))
+        assert parameter.check(parameter.limit) == parameter.limit
+    limited = {parameter.name for parameter in vocabulary if parameter.limit is not None}
+    assert limited >= ({"eta_fat", "eta_muscle"} if vocabulary is BREAST else {"mu2", "iop_rise"})
+    assert not limited & {"nu", "E_fat", "bulk", "eye_tilt"}
+
+
+def test_scattered_candidates_at_a_limit_are_one_sided() -> None:
+    best = {"E_fat": 0.01, "eta_fat": 0.0002}
+    alike = [{"E_fat": 0.01 + 1e-4 * i, "eta_fat": 0.0002 + 1e-3 * i} for i in range(6)]
+    searched = SearchedConstants(BREAST, FROM_ZERO)
+    fibres = identification_from_scatter(searched, 0, best, alike, "").constants["eta_fat"]
+    assert fibres.identifiable == "limit"
+    assert fibres.interval is not None and fibres.interval.lower == 0.0
 
 
 # --- errors other than the image -----------------------------------------------------------

@@ -1,17 +1,17 @@
 """Whether the constants of a diagnosis may be quoted."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from palpate.service.number_formatting import listed, number, signed_error
+from palpate.service.number_formatting import number, signed_error
 from palpate.service.results.identification import WEAK_PART
+from palpate.service.results.physical_limits import Bounds
 from palpate.service.results.quotability_rule import (
-    Bounds,
     EstimateFacts,
     IdentifiedAs,
     Quotability,
     quotability,
+    reason_lines,
 )
 from palpate.storage.json_digests import to_json
 from palpate.workers.diagnosis.outcome.diagnosis_summary import ConstantEstimate, Summary
@@ -123,15 +123,6 @@ def _contradictions(summary: Summary, constant: ConstantEstimate) -> tuple[str, 
     return ()
 
 
-def reasons_by_name(judged: Mapping[str, JudgedConstant]) -> list[tuple[list[str], str]]:
-    """Return the unquotable constants, grouped by their reasons."""
-    groups: dict[tuple[str, ...], list[str]] = {}
-    for name, one in judged.items():
-        if not one.answer.quotable:
-            groups.setdefault(one.answer.reasons, []).append(name)
-    return [(names, "; ".join(reasons)) for reasons, names in groups.items()]
-
-
 def constant_lines(summary: Summary) -> list[str]:
     """Return console lines for the constants, then the reasons against quoting some."""
     judged = judged_constants(summary)
@@ -139,11 +130,8 @@ def constant_lines(summary: Summary) -> list[str]:
         f"{name.removesuffix(KPA_ENDING)}: {constant.text}" + _without(summary, name)
         for name, constant in judged.items()
     ]
-    named = [
-        (listed([name.removesuffix(KPA_ENDING) for name in names]), reasons)
-        for names, reasons in reasons_by_name(judged)
-    ]
-    return lines + [f"Not quotable: {names}: {reasons}." for names, reasons in named]
+    answers = {name.removesuffix(KPA_ENDING): one.answer for name, one in judged.items()}
+    return lines + reason_lines(answers)
 
 
 def _without(summary: Summary, name: str) -> str:

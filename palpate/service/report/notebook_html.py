@@ -42,7 +42,7 @@ def results_html(results: StudyResults) -> Markup:
         (
             symbol(name, e.unit),
             number(e.estimate),
-            "–" if e.interval is None else " to ".join(map(number, e.interval)),
+            e.interval_text or "–",
             e.unit,
             "yes" if e.quotable else f"no: {'; '.join(e.reasons)}",
         )

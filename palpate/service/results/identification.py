@@ -28,6 +28,7 @@ from palpate.service.results.intervals import (
     RelativeInterval,
     SearchedConstants,
 )
+from palpate.service.results.physical_limits import at_limit
 from palpate.service.results.quotability_rule import IdentifiedAs
 from palpate.service.search.search_interface import FloatArray
 from palpate.storage.values import FitJson
@@ -143,13 +144,14 @@ class IdentifiedConstant:
         Such as kPa; empty for a pure number.
     interval : Interval or None
         None if only ratios can be found, or nothing is known.
-    identifiable : {"value", "ratio", "weak", "unknown"}
-        ``ratio``: only its ratio to the others, see `IdentifiedRatio`. ``weak``: the interval
-        is wider than half the value. ``unknown``: it is wider than the searched interval.
+    identifiable : {"value", "limit", "ratio", "weak", "unknown"}
+        ``limit``: it rests at its physical limit, from which the interval begins. ``ratio``: only
+        its ratio to the others, see `IdentifiedRatio`. ``weak``: the interval is wider than half
+        the value. ``unknown``: it is wider than the searched interval.
     errors : mapping of str to float
         Standard deviation contributed by each source of error, in `unit`.
     depends_on : tuple of str
-        Constants at a bound of the search that affect the value.
+        Constants at a bound of the search, not at a physical limit, that affect the value.
     prior_share : float
         Part of the information on the value that its prior contributes, 0 to 1.
     """
@@ -342,13 +344,27 @@ def _judged(
     if ends is None:
         return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "unknown")
     least, most = searched.bounds[name]
-    if ends[0] < least and ends[1] > most and origin == TANGENTS:
+    limited = _reaches_limit(searched, name, value, ends, origin)
+    if (limited or ends[0] < least) and ends[1] > most and origin == TANGENTS:
         return IdentifiedConstant(name, estimate, parameter.unit.symbol, None, "unknown")
     low, high = np.clip(ends, *parameter.admissible)
+    low = least if limited else low
     lower, upper = searched.at_door(name, float(low)), searched.at_door(name, float(high))
     verdict: IdentifiedAs = "weak" if upper - lower > WEAK_PART * abs(estimate) else "value"
+    verdict = "limit" if limited else verdict
     interval = Interval(lower, upper, LEVEL, origin)
     return IdentifiedConstant(name, estimate, parameter.unit.symbol, interval, verdict)
+
+
+def _reaches_limit(
+    searched: SearchedConstants, name: str, value: float, ends: FloatArray, origin: str
+) -> bool:
+    """Return True if a constant rests at its physical limit, and its interval begins there."""
+    bounds, limit = searched.bounds[name], searched.parameter(name).limit
+    if limit is None or not at_limit(value, bounds, limit):
+        return False
+    # Candidates scatter inside the searched interval, never up to its end.
+    return origin == SCATTER or float(ends[0]) - limit <= 1e-9 * (bounds[1] - bounds[0])
 
 
 def _ratios(local: LocalModel) -> list[IdentifiedRatio]:

@@ -38,7 +38,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from palpate.service.number_formatting import at_edge, share
+from palpate.service.number_formatting import share
+from palpate.service.results.physical_limits import (
+    DEVIATIONS,
+    UNSEEN,
+    at_bound,
+    at_limit,
+    limited_reach,
+    limited_step,
+)
 from palpate.service.search.search_interface import FloatArray
 from palpate.storage.values import FitJson, MeshFit, Prior
 from palpate.workers.mechanics.model_parameters import Parameter, Vocabulary
@@ -188,10 +196,6 @@ def in_words(errors: Mapping[str, float], estimate: float) -> str:
     )
 
 
-# Quantile of the normal distribution: 90 % are within this many standard deviations.
-DEVIATIONS = 1.6449
-# A direction with less than this fraction of the largest information is not identified.
-UNSEEN = 1e-10
 # Above this possible reduction, in units of the noise, a sum of squares is not at its minimum.
 MOST_FALL = 9.0
 # Constants with a smaller share of a direction are not listed in it.
@@ -306,8 +310,11 @@ class LocalModel:
         self.gradient = gradient
         self.eigenvalues, self.eigenvectors = np.linalg.eigh(self.information)
         self.seen = self.eigenvalues > UNSEEN * max(float(self.eigenvalues[-1]), 1e-300)
-        self.step = self._limited(-self._inverse() @ gradient, bounds)
-        left = float(fit["cost"]) - float(gradient @ self._inverse() @ gradient)
+        self.limits = [searched.parameter(name).limit for name in self.names]
+        self.lowest = self._lowest()
+        step, fall = self._best_step()
+        self.step = self._limited(step, bounds)
+        left = float(fit["cost"]) - fall
         freedom = max(1, int(fit["residuals"]) - len(self.names))
         self.noise_factor = float(np.sqrt(max(1.0, left / freedom)))
         self.covariance = self.noise_factor**2 * self._inverse()
@@ -335,9 +342,9 @@ class LocalModel:
         """Return the interval of a coordinate, relative to the candidate."""
         unseen = float((self.unseen_root[i] ** 2).sum())
         variance = unseen + sum(source.sd[i] ** 2 for source in self.sources)
-        reach = DEVIATIONS * float(np.sqrt(variance))
+        down, up = self._reach(np.eye(len(self.names))[i], variance)
         step = float(self.step[i])
-        return min(0.0, step) - reach, max(0.0, step) + reach
+        return min(0.0, step) - down, max(0.0, step) + up
 
     @property
     def error_root(self) -> FloatArray:
@@ -368,9 +375,9 @@ class LocalModel:
         if mesh_sd is not None:
             errors[MESH] = mesh_sd
         unseen = float(((by_coordinate @ self.unseen_root) ** 2).sum())
-        reach = DEVIATIONS * float(np.sqrt(unseen + sum(sd**2 for sd in errors.values())))
+        down, up = self._reach(by_coordinate, unseen + sum(sd**2 for sd in errors.values()))
         step = float(by_coordinate @ self.step) - (mesh_shift or 0.0)
-        low, high = min(0.0, step) - reach, max(0.0, step) + reach
+        low, high = min(0.0, step) - down, max(0.0, step) + up
         return RelativeInterval(
             float(np.exp(max(low, -50.0))), float(np.exp(min(high, 50.0))), errors
         )
@@ -402,13 +409,48 @@ class LocalModel:
         """Return True if the Gauss step is negligible in all constants off their bounds."""
         free = np.array([not self.at_bound(i) for i in range(len(self.names))])
         part, gradient = self.information[np.ix_(free, free)], self.gradient[free]
-        inverse = np.linalg.pinv(part, rcond=UNSEEN, hermitian=True)
-        return float(gradient @ inverse @ gradient) <= MOST_FALL * self.noise_factor**2
+        if self.is_limited:
+            _, fall = limited_step(part, gradient, self.lowest[free])
+        else:
+            inverse = np.linalg.pinv(part, rcond=UNSEEN, hermitian=True)
+            fall = float(gradient @ inverse @ gradient)
+        return fall <= MOST_FALL * self.noise_factor**2
 
     def at_bound(self, i: int) -> bool:
-        """Return True if a constant is at a bound of the search."""
+        """Return True if a constant is at a bound of the search that is not its limit."""
+        return at_bound(float(self.values[i]), self._searched(i), self.limits[i])
+
+    @property
+    def is_limited(self) -> bool:
+        """Return True if a constant is at its physical limit."""
+        return bool(np.isfinite(self.lowest).any())
+
+    def _searched(self, i: int) -> tuple[float, float]:
         low, high = self.bounds[i]
-        return at_edge(float(self.values[i]), (float(low), float(high)))
+        return float(low), float(high)
+
+    def _lowest(self) -> FloatArray:
+        """Return the step of each coordinate to its physical limit; -inf if it is not there."""
+        lowest = np.full(len(self.names), -np.inf)
+        for i, limit in enumerate(self.limits):
+            if limit is not None and at_limit(float(self.values[i]), self._searched(i), limit):
+                lowest[i] = (limit - self.values[i]) / self.scale[i]
+        return lowest
+
+    def _best_step(self) -> tuple[FloatArray, float]:
+        """Return the Gauss step, and its reduction of the sum of squares."""
+        if self.is_limited:
+            return limited_step(self.information, self.gradient, self.lowest)
+        step = -self._inverse() @ self.gradient
+        return step, float(self.gradient @ self._inverse() @ self.gradient)
+
+    def _reach(self, slope: FloatArray, variance: float) -> tuple[float, float]:
+        """Return the distances from a value to the ends of its interval."""
+        if self.is_limited:
+            root = self.error_root
+            return limited_reach(slope, variance, root @ root.T, self.lowest)
+        reach = DEVIATIONS * float(np.sqrt(variance))
+        return reach, reach
 
     def _sources(self, others: OtherProblems) -> tuple[ErrorSource, ...]:
         """Return the sources of error: image, misfit, mesh and groups of nuisances."""

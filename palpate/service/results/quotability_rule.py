@@ -6,13 +6,16 @@ service show its answer in the same words.
 """
 
 import math
+import re
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
-from palpate.service.number_formatting import at_edge, number
+from palpate.service.number_formatting import listed, number
+from palpate.service.results.physical_limits import Bounds, at_bound
 
-Bounds = tuple[float, float]
-IdentifiedAs = Literal["value", "ratio", "weak", "unknown"]
+N = TypeVar("N", bound=str)
+IdentifiedAs = Literal["value", "limit", "ratio", "weak", "unknown"]
 
 # A residual of more than this multiple of the stated noise means that the model is wrong, which
 # no interval can make up for. Calibrated by tests/benchmarks/interval_coverage.py.
@@ -38,13 +41,16 @@ class EstimateFacts:
         Such as kPa; empty for a pure number.
     searched : (float, float) or None
         Bounds of the search.
+    limit : float or None
+        Physical limit, below which there are no values; a search may end there.
     stated : (float, float) or None
         Interval given for the constant in the user's file, if it does not bound the search.
     interval : (float, float) or None
         90 % interval.
-    identifiable : {"value", "ratio", "weak", "unknown"}
-        ``ratio``: only its ratio to other constants. ``weak``: the interval is wider than half
-        the value. ``unknown``: nothing is known about its precision.
+    identifiable : {"value", "limit", "ratio", "weak", "unknown"}
+        ``limit``: it rests at `limit`, and the interval is one-sided. ``ratio``: only its ratio
+        to other constants. ``weak``: the interval is wider than half the value. ``unknown``:
+        nothing is known about its precision.
     finished : bool
         Whether the search has stopped.
     converged : bool
@@ -65,6 +71,7 @@ class EstimateFacts:
     value: float | None
     unit: str = ""
     searched: Bounds | None = None
+    limit: float | None = None
     stated: Bounds | None = None
     interval: Bounds | None = None
     identifiable: IdentifiedAs = "value"
@@ -116,6 +123,9 @@ def quotability(facts: EstimateFacts) -> Quotability:
     >>> facts = EstimateFacts(value=20.0, unit="kPa", searched=(2.0, 20.0), interval=(19, 20))
     >>> quotability(facts).reasons
     ('at the upper bound of the searched interval (20 kPa)',)
+    >>> limit = {"limit": 0.0, "identifiable": "limit", "interval": (0, 12)}
+    >>> quotability(EstimateFacts(value=0.0, unit="kPa", searched=(0.0, 100.0), **limit)).quotable
+    True
     """
     if facts.value is None or not math.isfinite(facts.value):
         return Quotability(False, ("nothing was estimated",), False, False)
@@ -134,6 +144,54 @@ def quotability(facts: EstimateFacts) -> Quotability:
     return Quotability(not reasons, tuple(dict.fromkeys(reasons)), estimated, holds)
 
 
+# A reason that ends in a value or an interval: "weakly determined, 5 to 15 kPa".
+_ENDING = re.compile(r"(\D+?),? \(?([−\d][^\s()]*(?: to [−\d]\S*)?(?: [^\s\d()]+)?)\)?")
+
+
+def names_by_reason(answers: Mapping[N, Quotability]) -> list[tuple[list[tuple[N, str]], str]]:
+    """Return each reason once, after the names that it concerns.
+
+    Reasons that differ only in the value or interval at their end are one. Every name has that
+    ending beside it; it is empty for the other reasons.
+
+    Examples
+    --------
+    >>> weak = [Quotability(False, (f"weakly determined, {i} kPa",)) for i in ("2 to 5", "1 to 9")]
+    >>> names_by_reason({"E": weak[0], "eta": weak[1]})
+    [([('E', '2 to 5 kPa'), ('eta', '1 to 9 kPa')], 'weakly determined')]
+    """
+    whole: dict[str, list[N]] = {}
+    for name, answer in answers.items():
+        for reason in answer.reasons:
+            whole.setdefault(reason, []).append(name)
+    heads: dict[str, list[str]] = {}
+    for reason in whole:
+        match = _ENDING.fullmatch(reason)
+        heads.setdefault(match[1] if match else reason, []).append(reason)
+    groups: list[tuple[list[tuple[N, str]], str]] = []
+    for head, reasons in heads.items():
+        if len(reasons) == 1:
+            groups.append(([(name, "") for name in whole[reasons[0]]], reasons[0]))
+            continue
+        endings = [(reason, match[2]) for reason in reasons if (match := _ENDING.fullmatch(reason))]
+        groups.append(([(name, end) for reason, end in endings for name in whole[reason]], head))
+    return groups
+
+
+def reason_lines(answers: Mapping[str, Quotability]) -> list[str]:
+    """Return a sentence for each reason, with the names that may not be quoted for it.
+
+    Examples
+    --------
+    >>> reason_lines({name: Quotability(False, (UNFINISHED,)) for name in ("E", "eta")})[0][:27]
+    'Not quotable: E and eta: th'
+    """
+    return [
+        f"Not quotable: {listed([f'{n} ({end})' if end else n for n, end in names])}: {reason}."
+        for names, reason in names_by_reason(answers)
+    ]
+
+
 def _unconverged(facts: EstimateFacts) -> list[str]:
     return [] if facts.converged else ["the search has not converged"]
 
@@ -141,7 +199,7 @@ def _unconverged(facts: EstimateFacts) -> list[str]:
 def _bounds(facts: EstimateFacts, value: float) -> list[str]:
     """Return objections to the value's position in the searched and the given interval."""
     reasons = []
-    if facts.searched is not None and at_edge(value, facts.searched):
+    if facts.searched is not None and at_bound(value, facts.searched, facts.limit):
         low, high = facts.searched
         side, bound = ("lower", low) if value - low < high - value else ("upper", high)
         where = f"bound of the searched interval ({_with_unit(bound, facts.unit)})"

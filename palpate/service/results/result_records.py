@@ -14,7 +14,6 @@ from markupsafe import Markup
 
 from palpate.service.number_formatting import (
     Quantity,
-    at_edge,
     bare,
     listed,
     not_neutral,
@@ -33,9 +32,9 @@ from palpate.service.results.identification import (
     ratio_estimates,
 )
 from palpate.service.results.intervals import Posterior
+from palpate.service.results.physical_limits import Bounds, at_bound, at_limit
 from palpate.service.results.quotability_rule import (
     MOST_RESIDUAL,
-    Bounds,
     EstimateFacts,
     IdentifiedAs,
     Quotability,
@@ -66,6 +65,7 @@ def facts_of(results: "StudyResults", name: str) -> EstimateFacts:
         value=estimate.estimate,
         unit=estimate.unit,
         searched=(estimate.lower, estimate.upper),
+        limit=estimate.limit,
         interval=None if constant is None else interval_ends(constant.interval),
         identifiable="unknown" if constant is None else constant.identifiable,
         finished=results.state == "stopped",
@@ -152,8 +152,7 @@ def _bounded(results: "StudyResults", found: Mapping[str, Any]) -> list[str]:
     return [
         f"it depends on {name}, which is at a bound of its searched interval"
         for name in names
-        if (value := estimates[name].estimate) is not None
-        and at_edge(value, (estimates[name].lower, estimates[name].upper))
+        if estimates[name].at_bound
     ]
 
 
@@ -236,6 +235,7 @@ def _at_bounds(estimates: Iterable["ParameterEstimate | None"]) -> list[str]:
                 value=estimate.estimate,
                 unit=estimate.unit,
                 searched=(estimate.lower, estimate.upper),
+                limit=estimate.limit,
             )
             reasons += [
                 f"{estimate.gene} is {reason}"
@@ -286,6 +286,10 @@ class ParameterEstimate:
         90 % interval; None if it is unknown or withheld.
     quotability : Quotability or None
         Whether the estimate may be quoted; None until this is decided.
+    limit : float or None
+        Physical limit, below which there are no values.
+    description : str
+        Such as ``fibre stiffness of fat and ligaments``; may be empty.
     """
 
     gene: str
@@ -297,6 +301,49 @@ class ParameterEstimate:
     before_polish: float | None = None
     interval: tuple[float, float] | None = None
     quotability: Quotability | None = None
+    limit: float | None = None
+    description: str = ""
+
+    @property
+    def at_bound(self) -> bool:
+        """Return True if the estimate is at a bound of the search that is not its limit."""
+        searched = self.lower, self.upper
+        return self.estimate is not None and at_bound(self.estimate, searched, self.limit)
+
+    @property
+    def one_sided(self) -> bool:
+        """Return True if the estimate rests at its limit, where its interval begins."""
+        if self.estimate is None or self.interval is None or self.limit is None:
+            return False
+        rests = at_limit(self.estimate, (self.lower, self.upper), self.limit)
+        return rests and self.interval[0] <= self.limit
+
+    @property
+    def limit_note(self) -> str:
+        """Return that nothing above the limit is needed, as a clause; empty if not one-sided."""
+        if not self.one_sided:
+            return ""
+        what = self.description or bare(self.gene, self.unit)
+        if not self.limit:
+            return f"no {what} is needed"
+        return f"no {what} above {number(self.limit)} {self.unit}".rstrip() + " is needed"
+
+    @property
+    def interval_text(self) -> str:
+        """Return the interval as ``9.1 to 11``, ``below 12`` if one-sided; empty if unknown."""
+        if self.interval is None:
+            return ""
+        if self.one_sided:
+            return f"below {number(self.interval[1])}"
+        return " to ".join(map(number, self.interval))
+
+    @property
+    def text(self) -> str:
+        """Return the estimate as ``10 (9.1 to 11) kPa``, or ``< 12 kPa (90 %)``."""
+        if self.one_sided and self.interval is not None:
+            return f"< {number(self.interval[1])} {self.unit}".rstrip() + " (90 %)"
+        between = f" ({self.interval_text})" if self.interval else ""
+        return f"{number(self.estimate)}{between} {self.unit}".rstrip()
 
     @property
     def quotable(self) -> bool:
@@ -318,8 +365,7 @@ class ParameterEstimate:
     def __str__(self) -> str:
         if self.estimate is None:
             return f"{self.gene} not estimated"
-        between = "" if self.interval is None else f" ({' to '.join(map(number, self.interval))})"
-        return f"{bare(self.gene, self.unit)} {number(self.estimate)}{between} {self.unit}".rstrip()
+        return f"{bare(self.gene, self.unit)} {self.text}"
 
     def __repr__(self) -> str:
         answer = "" if self.quotability is None else f"; {self.quotability.sentence}"
@@ -327,8 +373,7 @@ class ParameterEstimate:
 
     def _repr_html_(self) -> str:
         name = symbol(self.gene, self.unit)
-        between = "" if self.interval is None else f" ({' to '.join(map(number, self.interval))})"
-        value = f" {number(self.estimate)}{between} {self.unit}".rstrip()
+        value = f" {self.text}"
         answer = "" if self.quotability is None else f". {self.quotability.sentence}."
         return str(Markup("{}{}{}").format(name, value, answer))
 

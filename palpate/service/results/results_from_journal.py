@@ -202,8 +202,9 @@ def estimates_of(
         estimate = None if genes is None else genes[gene]
         unpolished = None if before is None else spec.case.canonical(before.genes)[gene]
         estimates[parameter.name] = ParameterEstimate(
-            gene, parameter.unit.symbol, lower, upper, estimate, target.get(gene), unpolished
-        )
+            gene, parameter.unit.symbol, lower, upper, estimate, target.get(gene), unpolished,
+            limit=parameter.door_limit, description=parameter.description,
+        )  # fmt: skip
     return estimates
 
 

@@ -279,6 +279,23 @@ class Parameter:
         """Return the default search interval."""
         return self.lower, self.upper
 
+    @property
+    def limit(self) -> float | None:
+        """Return the physical limit: the least admissible value; None if it is excluded.
+
+        Examples
+        --------
+        >>> BREAST["eta_fat"].limit, BREAST["E_fat"].limit, BREAST["nu"].limit
+        (0.0, None, None)
+        """
+        low = self.admissible[0]
+        return low if math.isfinite(low) and not self.open_lower else None
+
+    @property
+    def door_limit(self) -> float | None:
+        """Return `limit` in the unit of files."""
+        return None if self.limit is None else self.unit.to_door(self.limit)
+
     def check(self, value: float) -> float:
         """Return `value` as a float if it is admissible.
 
@@ -314,15 +331,23 @@ class Parameter:
             )
         return lower, upper
 
+    def side_text(self, *, lower: bool) -> str:
+        """Return the admissible values on one side, as ``at least 0 kPa``; empty if any are.
+
+        Examples
+        --------
+        >>> BREAST["nu"].side_text(lower=False), BREAST["eta_fat"].side_text(lower=True)
+        ('below 0.5', 'at least 0 kPa')
+        """
+        bound = self.unit.to_door(self.admissible[0 if lower else 1])
+        if not math.isfinite(bound):
+            return ""
+        words = ("above" if self.open_lower else "at least") if lower else "below"
+        return f"{words} {bound:g} {self.unit.symbol}".rstrip()
+
     def _range_text(self) -> str:
-        low, high = (self.unit.to_door(value) for value in self.admissible)
-        unit = f" {self.unit.symbol}".rstrip()
-        parts = []
-        if math.isfinite(low):
-            parts.append(f"{'above' if self.open_lower else 'at least'} {low:g}{unit}")
-        if math.isfinite(high):
-            parts.append(f"below {high:g}{unit}")
-        return " and ".join(parts) or "a finite number"
+        parts = (self.side_text(lower=lower) for lower in (True, False))
+        return " and ".join(filter(None, parts)) or "a finite number"
 
 
 class Vocabulary:

@@ -20,7 +20,10 @@ def test_studies_are_compared_on_terminal_as_json_as_csv_and_as_page(
     lines = out.splitlines()
     assert lines[0].split() == ["constant", "runs/a", "runs/b"]
     assert any(line.split() == ["search.strategy", "least-squares", "genetic"] for line in lines)
-    assert "* Not quotable: runs/b, E_fat_kpa: the search has not converged." in lines
+    assert (
+        "* Not quotable: runs/b, E_fat_kpa and E_glandular_kpa: the search has not converged."
+        in lines
+    )
     assert lines[-2:] == ["table: c.csv", "page: c.html"]
     assert Path("c.csv").read_text().startswith("study,quantity,unit,value")
     assert Path("c.html").read_text().lstrip().startswith("<!DOCTYPE html>")

@@ -78,7 +78,7 @@ def test_the_page_shows_constants_scores_and_settings(comparison: StudyCompariso
     assert page.row("Efat")[1].startswith("10 (9.963 to 10.04) kPa")
     assert page.row("Efat")[2].endswith("kPa *")
     assert page.row("search.strategy")[1:] == ["least-squares", "genetic"]
-    assert "searched, E_fat_kpa: the search has not converged." in page.text
+    assert "searched, E_fat_kpa and E_glandular_kpa: the search has not converged." in page.text
     charts = page.drawings()
     assert len(charts) == 3
     assert render_comparison(comparison) == page.source

@@ -11,6 +11,7 @@ from palpate.service.number_formatting import number, share
 from palpate.service.report.study.study_page import write_report
 from palpate.service.results.identification import RatioEstimate
 from palpate.service.results.intervals import in_words
+from palpate.service.results.quotability_rule import reason_lines
 from palpate.service.results.result_records import (
     DerivedEstimate,
     ParameterEstimate,
@@ -71,17 +72,16 @@ def print_report(results: StudyResults, console: Console) -> None:
 
 
 def _print_ratios(results: StudyResults, console: Console) -> None:
-    rows, reasons = [], []
+    rows, answers = [], {}
     for ratio in results.ratios:
         interval, answer = ratio_answer(results, ratio)
         estimate, *others = _numbers(ratio, "")
         shown = "-" if interval is None else _between(*interval)
         rows.append((ratio.name, estimate, shown, *others, "yes" if answer.quotable else "no"))
-        if answer.reasons:
-            reasons.append(f"Not quotable: {ratio.name}: {'; '.join(answer.reasons)}.")
+        answers[ratio.name] = answer
     headings = ("ratio", "estimate", "90 % interval", "target", "error", "quotable")
     print_table(console, headings, rows, right=(1, 2, 3, 4, 5))
-    for text in reasons:
+    for text in reason_lines(answers):
         console.print(text)
 
 
@@ -96,7 +96,7 @@ def _estimates(results: StudyResults) -> tuple[tuple[str, ...], list[tuple[str, 
         estimate, target, error = _numbers(e, unit)
         more = []
         if known is not None:
-            more.append("-" if e.interval is None else _between(*e.interval))
+            more.append(e.interval_text or "-")
         if polished:
             more.append("-" if e.before_polish is None else f"{number(e.before_polish)}{unit}")
         searched = f"{e.lower:g} to {e.upper:g}{unit}"
@@ -114,12 +114,8 @@ def _yes_no(e: ParameterEstimate) -> str:
 
 def _how_well(results: StudyResults) -> list[str]:
     """Return sentences on unquotable values and on how well the image determines the others."""
-    texts = [
-        f"Not quotable: {name}: {reason}."
-        for name, e in results.estimates.items()
-        if e.reasons
-        for reason in ["; ".join(e.reasons)]
-    ]
+    texts = reason_lines(results.quotability)
+    texts += [f"{e}: {e.limit_note}." for e in results.estimates.values() if e.one_sided]
     texts += [derived_text(estimate) for estimate in derived_estimates(results)]
     known = results.identification
     if known is None:

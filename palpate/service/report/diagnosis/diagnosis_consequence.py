@@ -10,10 +10,10 @@ from palpate.service.diagnosis.diagnosed_constants import (
     change,
     is_lead,
     judged_constants,
-    reasons_by_name,
 )
 from palpate.service.diagnosis.diagnosis_words import together
 from palpate.service.number_formatting import joined, percent, signed_error, symbol
+from palpate.service.report.page.quoted_values import quote_lines
 from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
 
 
@@ -27,18 +27,15 @@ def quotable(summary: Summary) -> Markup:
         for name, constant in judged.items()
         if constant.answer.quotable
     ]
-    bad = [
-        Markup("{} ({})").format(_names(names), reasons)
-        for names, reasons in reasons_by_name(judged)
-    ]
+    answers = {symbol(name, "kPa"): constant.answer for name, constant in judged.items()}
     if not good:
-        return Markup("Do not quote {}.").format(joined(bad))
+        return quote_lines(Markup(""), answers)
     fitted = summary.primary if summary.verdict != "no-gap" else ()
     quote = Markup("Quote {}{}").format(
         joined(good), f", fitted with {together(fitted)}" if fitted else ""
     )
-    rest = Markup("; do not quote {}").format(joined(bad)) if bad else Markup("")
-    return quote + rest + Markup(".") + _of_nominal_model(summary, judged) + _hidden(summary)
+    said = quote_lines(quote, answers)
+    return said + _of_nominal_model(summary, judged) + _hidden(summary)
 
 
 def _of_nominal_model(summary: Summary, judged: Mapping[str, JudgedConstant]) -> Markup:

@@ -13,7 +13,7 @@ from typing import Any
 from markupsafe import Markup
 
 from palpate.service.installed_packages import palpate_version
-from palpate.service.number_formatting import count, duration, label, number, symbol
+from palpate.service.number_formatting import count, duration, label, listed, number, symbol
 from palpate.service.report.drawing.svg import (
     Mark,
     Scale,
@@ -26,6 +26,7 @@ from palpate.service.report.drawing.svg import (
 )
 from palpate.service.report.page.page_elements import Picture, chart
 from palpate.service.report.page.page_template import filled
+from palpate.service.results.quotability_rule import names_by_reason
 from palpate.service.results.result_records import ParameterEstimate
 from palpate.service.results.study_comparison import ComparedStudy, StudyComparison
 from palpate.storage.backends.atomic_files import write_file
@@ -162,8 +163,7 @@ def constant_chart_words(comparison: StudyComparison, gene: str) -> str:
         e = comparison.estimate(study, gene)
         if e is None:
             continue
-        between = "" if e.interval is None else f" ({' to '.join(map(number, e.interval))})"
-        texts.append(f"{study.label}: {number(e.estimate)}{between} {e.unit}".rstrip())
+        texts.append(f"{study.label}: {e.text}")
     return f"{label(gene, found_unit(comparison, gene))}. {'; '.join(texts)}."
 
 
@@ -219,9 +219,7 @@ def estimate_text(e: ParameterEstimate | None) -> str:
         return "not searched"
     if e.estimate is None:
         return "not estimated"
-    between = "" if e.interval is None else f" ({' to '.join(map(number, e.interval))})"
-    star = "" if e.quotable else " *"
-    return f"{number(e.estimate)}{between} {e.unit}".rstrip() + star
+    return e.text + ("" if e.quotable else " *")
 
 
 def outcome_rows(studies: Sequence[ComparedStudy]) -> list[tuple[str, list[str]]]:
@@ -253,13 +251,16 @@ def setting_rows(comparison: StudyComparison) -> list[tuple[str, list[str]]]:
 
 
 def reason_rows(comparison: StudyComparison) -> list[str]:
-    """Return a sentence for each estimate that may not be quoted."""
-    return [
-        f"{study.label}, {e.gene}: {'; '.join(e.reasons)}."
-        for study in comparison.studies
-        for e in study.results.estimates.values()
-        if e.reasons
-    ]
+    """Return a sentence for each study and each reason against quoting some of its estimates."""
+    rows = []
+    for study in comparison.studies:
+        estimates = study.results.estimates.values()
+        answers = {e.gene: e.quotability for e in estimates if e.quotability is not None}
+        rows += [
+            f"{study.label}, {listed([f'{n} ({end})' if end else n for n, end in names])}: {why}."
+            for names, why in names_by_reason(answers)
+        ]
+    return rows
 
 
 def _constant_picture(comparison: StudyComparison, gene: str) -> Picture:

@@ -4,7 +4,8 @@ from collections.abc import Iterable
 
 from markupsafe import Markup
 
-from palpate.service.number_formatting import at_edge, joined, number, symbol
+from palpate.service.number_formatting import joined, number, symbol
+from palpate.service.report.page.quoted_values import quote_lines
 from palpate.service.results.identification import Identification, IdentifiedConstant
 from palpate.service.results.intervals import in_words
 from palpate.service.results.quotability_rule import Quotability
@@ -45,20 +46,9 @@ def _derived(one: DerivedEstimate) -> Markup:
 
 
 def _said(judged: list[tuple[Markup, Quotability]], quote: str = "Quote {}") -> Markup:
-    """Return one sentence on the values that may and may not be quoted, with reasons."""
+    """Return the values that may and may not be quoted, with reasons."""
     good = [name for name, answer in judged if answer.quotable]
-    reasons: dict[tuple[str, ...], list[Markup]] = {}
-    for name, answer in judged:
-        if not answer.quotable:
-            reasons.setdefault(answer.reasons, []).append(name)
-    bad = [
-        Markup("{} ({})").format(joined(names), "; ".join(why)) for why, names in reasons.items()
-    ]
-    if not bad:
-        return Markup(f"{quote}.").format(joined(good))
-    if not good:
-        return Markup("Do not quote {}.").format(joined(bad))
-    return Markup(quote + "; do not quote {}.").format(joined(good), joined(bad))
+    return quote_lines(Markup(quote).format(joined(good)) if good else Markup(""), dict(judged))
 
 
 def _with_interval(
@@ -68,6 +58,9 @@ def _with_interval(
     constant = None if known is None else known.constants.get(name)
     if not answer.quotable or constant is None or constant.interval is None:
         return _named(name, estimate)
+    if estimate.one_sided:
+        words = estimate.text.replace("(90 %)", f"(90 %, {estimate.limit_note})")
+        return Markup("{} {}").format(_named(name, estimate), words)
     value = number(estimate.estimate, 3)
     ends = f"{number(constant.interval.lower, 3)} to {number(constant.interval.upper, 3)}"
     return Markup("{} = {} ({}){}").format(
@@ -81,11 +74,7 @@ def next_step(results: StudyResults, target: TargetKind | None) -> Markup:
         return Markup("This page is updated after every generation.")
     if results.state == "interrupted":
         return _command("Continue the search:", f"palpate run {results.folder}")
-    edges = [
-        _named(n, e)
-        for n, e in results.estimates.items()
-        if e.estimate is not None and at_edge(e.estimate, (e.lower, e.upper))
-    ]
+    edges = [_edge(results, n, e) for n, e in results.estimates.items() if e.at_bound]
     if edges:
         return Markup(
             "Widen the searched interval of {} and run the study under another name."
@@ -105,10 +94,21 @@ def next_step(results: StudyResults, target: TargetKind | None) -> Markup:
     return Markup("The target was simulated: replace it with your own images.")
 
 
+def _edge(results: StudyResults, name: str, estimate: ParameterEstimate) -> Markup:
+    """Return a constant at a bound, with the values that its search may include on that side."""
+    parameter = results.spec.case.parameters[name]
+    value = estimate.estimate or 0.0
+    lower = value - estimate.lower < estimate.upper - value
+    text = parameter.side_text(lower=lower)
+    named = _named(name, estimate)
+    return Markup("{} (it must be {})").format(named, text) if text else named
+
+
 def verdicts(known: Identification | None, names: Iterable[str]) -> dict[str, str]:
     """Return the verdict on each constant's identifiability; empty if unknown."""
     words = {
         "value": "",
+        "limit": "",
         "weak": "weakly determined",
         "unknown": "no interval known",
         "ratio": "only its ratio",

@@ -8,13 +8,13 @@ from typing import Any
 from markupsafe import Markup
 
 from palpate.service.number_formatting import (
-    at_edge,
+    beside,
     count,
     duration,
     joined,
     number,
-    percent,
     signed_error,
+    small_percent,
     symbol,
 )
 from palpate.service.report.page.page_elements import Json, picture, script
@@ -124,11 +124,13 @@ def _verdict(estimates: Mapping[str, ParameterEstimate]) -> list[Markup]:
     for name, parameter in estimates.items():
         if parameter.estimate is None:
             continue
-        value = f"{number(parameter.estimate, 3)} {parameter.unit}".rstrip()
+        value = f"{beside(parameter.estimate, parameter.target)} {parameter.unit}".rstrip()
+        value = parameter.text if parameter.one_sided else value
         phrase = symbol(name, parameter.unit) + Markup(" <b>{}</b>").format(value)
         error = signed_error(parameter.estimate, parameter.target)
         if error is not None:
-            phrase += Markup(', <span class="off">{} from the target</span>').format(percent(error))
+            off = small_percent(error)
+            phrase += Markup(', <span class="off">{} from the target</span>').format(off)
         phrases.append(phrase)
     return phrases
 
@@ -168,11 +170,7 @@ def _lead(data: StudyData) -> str:
 
 def _warnings(data: StudyData) -> list[Markup]:
     warnings = []
-    edges = [
-        symbol(name, e.unit)
-        for name, e in data.results.estimates.items()
-        if e.estimate is not None and at_edge(e.estimate, (e.lower, e.upper))
-    ]
+    edges = [symbol(name, e.unit) for name, e in data.results.estimates.items() if e.at_bound]
     if edges:
         text = "{} {} at the edge of the searched interval: the true value may be outside."
         verb = "is" if len(edges) == 1 else "are"

@@ -7,12 +7,12 @@ from typing import Any
 from markupsafe import Markup
 
 from palpate.service.number_formatting import (
-    at_edge,
+    beside,
     count,
     duration,
     number,
-    percent,
     signed_error,
+    small_percent,
     symbol,
 )
 from palpate.service.report.study.study_consequence import interval_text, verdicts
@@ -83,12 +83,12 @@ def parameter_table(
         ParameterRow(
             symbol=symbol(name, e.unit),
             unit=e.unit,
-            estimate=number(e.estimate, 3),
+            estimate=beside(e.estimate, e.target),
             target=number(e.target, 3),
-            error=percent(signed_error(e.estimate, e.target)),
+            error=small_percent(signed_error(e.estimate, e.target)),
             bounds=f"{number(e.lower)} … {number(e.upper)}",
-            edge=e.estimate is not None and at_edge(e.estimate, (e.lower, e.upper)),
-            interval=interval_text(constants.get(name)),
+            edge=e.at_bound,
+            interval=e.interval_text if e.one_sided else interval_text(constants.get(name)),
             verdict=words[name],
         )
         for name, e in estimates.items()

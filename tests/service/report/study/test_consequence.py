@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from palpate.service.report.study.study_consequence import next_step, quotable
 from palpate.service.report.study.study_page import render_study
 from palpate.service.results.identification import (
     Identification,
@@ -12,6 +13,7 @@ from palpate.service.results.identification import (
     IdentifiedRatio,
     Interval,
 )
+from palpate.service.results.quotability_rule import Quotability
 from tests.service.report.pages import Page
 from tests.service.report.study_data_at_hand import results, study_data
 
@@ -77,6 +79,62 @@ def test_an_estimate_at_its_bound_is_not_quoted() -> None:
     text = page(known(eta_fat="value"), estimates=estimates).text
     assert "do not quote ηfat (at the upper bound of the searched interval (200 kPa))" in text
     assert "Widen the searched interval of ηfat" in text
+
+
+def test_an_estimate_at_its_physical_limit_is_an_answer() -> None:
+    estimates = dict(results().estimates)
+    limited = {"lower": 0.0, "upper": 100.0, "estimate": 0.2, "target": 0.0, "limit": 0.0}
+    estimates["eta_fat"] = replace(
+        estimates["eta_fat"], **limited, interval=(0.0, 12.0), description="fibre stiffness"
+    )
+    constants = dict(known().constants)
+    interval = Interval(0.0, 12.0, 0.9, "tangents")
+    constants["eta_fat"] = replace(constants["eta_fat"], interval=interval, identifiable="limit")
+    found = results(identification=Identification(0, constants), estimates=estimates)
+    shown = Page(render_study(study_data(results=found)))
+    assert "Efat = 10.1 (9.8 to 10.4) kPa" in shown.text
+    assert "ηfat < 12 kPa (90 %, no fibre stiffness is needed)." in shown.text
+    assert shown.row("ηfat")[2] == "below 12"
+    for word in ("do not quote", "Widen", "edge of the searched interval", "weakly determined"):
+        assert word not in shown.text.split("Intervals are")[0]
+
+
+def test_the_search_of_poissons_ratio_is_not_widened_beyond_a_half() -> None:
+    estimates = dict(results().estimates)
+    estimates["nu"] = replace(
+        estimates["E_fat"], gene="nu", unit="", lower=0.45, upper=0.499, estimate=0.499, target=None
+    )
+    text = Page(str(next_step(results(estimates=estimates), "image"))).text
+    assert "Widen the searched interval of ν (it must be below 0.5) and run" in text
+
+
+def test_each_reason_is_said_once() -> None:
+    """Of nine constants, none has converged and two are weakly determined."""
+    weak = ("weakly determined, 5 to 15 kPa", "weakly determined, 1 to 9 kPa")
+    late = "the search has not converged"
+    reasons = [(late, why) for why in weak] + [(late,)] * 7
+    one = results().estimates["E_fat"]
+    estimates = {
+        f"E_{n}": replace(one, gene=f"E_{n}_kpa", quotability=Quotability(False, why))
+        for n, why in enumerate(reasons)
+    }
+    said = str(quotable(results(estimates=estimates)))
+    assert said.count("the search has not converged") == 1
+    assert said.count("weakly determined") == 1
+    lines = [Page(line).text for line in said.split("<br>")]
+    assert [line.partition(":")[2] for line in lines] == [
+        " the search has not converged.",
+        " weakly determined.",
+    ]
+    assert "E0 (5 to 15 kPa) and E1 (1 to 9 kPa)" in lines[1]
+
+
+def test_error_of_an_estimate_is_shown_with_the_digits_that_differ() -> None:
+    estimates = dict(results().estimates)
+    estimates["E_fat"] = replace(estimates["E_fat"], estimate=9.997, target=10.0)
+    shown = page(None, estimates=estimates)
+    assert "Efat 9.997 kPa, −0.03 % from the target" in shown.text
+    assert shown.row("Efat")[1] == "9.997"
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """The forward model of a bench specimen."""
 
+import warnings
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -72,7 +73,9 @@ class Specimen:
         )
         folder = Path() if is_keys else Path(str(experiment)).parent
         mesh = self.spec.body.mesh
-        voxels = body_of_file(self.spec, folder / mesh)[0] if mesh else None
+        voxels, notes = body_of_file(self.spec, folder / mesh) if mesh else (None, ())
+        for text in notes:
+            warnings.warn(text, stacklevel=2)
         self._bench = _Bench(self.spec, voxels, nodes)
 
     @property

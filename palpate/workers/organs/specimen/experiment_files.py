@@ -22,7 +22,7 @@ from palpate.workers.organs.specimen.specimen_keys import (
     read_spec,
 )
 from palpate.workers.organs.specimen.specimen_source import SpecimenSource
-from palpate.workers.organs.specimen.voxelised_mesh import body_of_file
+from palpate.workers.organs.specimen.voxelised_mesh import body_of_file, size_of_file
 
 
 def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:
@@ -164,7 +164,13 @@ class ExperimentReader:
 
     def understood(self, path: Path) -> list[tuple[str, str]]:
         """Return a table of the experiment as it was read: names and texts."""
-        return [("read from", str(path)), *understood(read_spec(path))]
+        spec = read_spec(path)
+        rows = [("read from", str(path)), *understood(spec)]
+        mesh = spec.body.mesh
+        if mesh is not None:
+            place = [name for name, _ in rows].index("body") + 1
+            rows.insert(place, ("size", size_of_file(spec, named_by(path, mesh))))
+        return rows
 
 
 READER = ExperimentReader()

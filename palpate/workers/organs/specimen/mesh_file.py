@@ -1,17 +1,10 @@
-"""Reader of mesh files as tetrahedra or triangles, which rejects unsupported content.
+"""Body in a mesh file as tetrahedra or triangles, without unsupported content.
 
 Hexahedra, wedges, pyramids and pixels are split; nodes on the edges of cells are ignored. If a
 file contains volume cells, they are the body, and its surface cells are left out.
-
-Before reading, the counts in the headers of a file are checked against its size, and an input deck
-is searched for keywords that the reader ignores although they move the body.
 """
 
-import io
-import re
-import struct
 from collections import Counter
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,125 +14,8 @@ from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray
-from palpate.workers.input_files import MIB, check_regular, read_bytes, reading
-
-LARGEST_BYTES = 512 * MIB
-_STL_HEADER, _STL_FACET = 84, 50
-_KEYWORDS = re.compile(
-    rb"^\s*(?:POINTS|CELLS|CELL_TYPES|POLYGONS|POINT_DATA|CELL_DATA|FIELD|element \w+|\$Nodes|"
-    rb"\$Elements|\$Entities|\$PhysicalNames|Vertices|Tetrahedra|Triangles|Hexahedra)"
-    rb"[ \t\r]*\n?([ \t\d-]*)",
-    re.MULTILINE | re.IGNORECASE,
-)
-
-
-def check_counts(path: Path) -> None:
-    """Raise InputError if a mesh file declares more points or cells than fit in its size."""
-    if not path.is_file():  # the reader reports missing files
-        return
-    size = path.stat().st_size
-    if size > LARGEST_BYTES:
-        raise InputError(
-            f"{path} has {size / MIB:.0f} MiB; the limit for meshes is {LARGEST_BYTES // MIB} MiB. "
-            "Simplify it first."
-        )
-    content = path.read_bytes()
-    if path.suffix.lower() == ".stl":
-        _check_stl(path, content)
-        return
-    for match in _KEYWORDS.finditer(content):
-        for digits in match[1].split():
-            # A count, or the number of a node or a group, which cannot exceed the size of the file.
-            if len(digits) > 15 or abs(int(digits)) > max(size, 2**31):
-                raise InputError(
-                    f"{path} has {size} bytes, but contains the count or number "
-                    f"{digits[:20].decode()}. It is damaged; export it again."
-                )
-            if abs(int(digits)) > size and match[0].lstrip()[:1] != b"$":
-                raise InputError(
-                    f"{path} declares {int(digits)} points or cells, but has only {size} bytes. It "
-                    "is cut short or damaged; export it again."
-                )
-
-
-def _check_stl(path: Path, content: bytes) -> None:
-    """Check the number of facets of a binary STL file; a text file declares none."""
-    if content[:5].lower() == b"solid" and b"facet" in content[:1024].lower():
-        return
-    if len(content) < _STL_HEADER:
-        raise InputError(
-            f"{path} is not an STL file: it has {len(content)} bytes. Export it again."
-        )
-    (facets,) = struct.unpack_from("<I", content, 80)
-    if _STL_HEADER + _STL_FACET * facets > len(content):
-        raise InputError(
-            f"{path} declares {facets} facets, which need {_STL_FACET * facets} bytes, but has "
-            f"only {len(content)} bytes. It is cut short; export it again."
-        )
-
-
-DECK_BYTES = 512 * MIB
-ABAQUS, NASTRAN = (".inp",), (".bdf", ".nas", ".fem")
-GENERATORS = {"NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM", "INCLUDE"}
-# Each of these may occur only once: the reader keeps the last.
-ONCE = ("PART", "INSTANCE", "NODE")
-
-
-def check_deck(path: Path) -> None:
-    """Reject an input deck that would be read incompletely.
-
-    Raises
-    ------
-    InputError
-        With the first unsupported keyword and its line.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in ABAQUS + NASTRAN:
-        return
-    try:
-        content = read_bytes(path, DECK_BYTES)
-    except OSError as error:
-        raise InputError(f"{path} cannot be read: {error.strerror}.") from error
-    lines = content.decode("utf-8", errors="replace").splitlines()
-    unread = _abaqus(lines) if suffix in ABAQUS else _nastran(lines)
-    if unread is not None:
-        line, why = unread
-        raise InputError(
-            f"{path}, line {line}: {why} is not read. Export the mesh as one part, in global "
-            "coordinates and without transformations, for instance as .vtk or .msh."
-        )
-
-
-def _abaqus(lines: list[str]) -> tuple[int, str] | None:
-    seen: dict[str, int] = {}
-    keyword = ""
-    for number, text in enumerate(lines, start=1):
-        line = text.strip()
-        if not line or line.startswith("**"):
-            continue
-        if not line.startswith("*"):
-            if keyword == "INSTANCE":
-                return number, "a translation or rotation of an *INSTANCE"
-            continue
-        parts = [part.strip().upper() for part in line[1:].split(",")]
-        keyword = parts[0]
-        options = {part.partition("=")[0].strip() for part in parts[1:]}
-        if keyword in GENERATORS:
-            return number, f"*{keyword}"
-        if keyword in ("NODE", "ELEMENT") and options & {"SYSTEM", "INPUT"}:
-            return number, f"*{keyword} with {' and '.join(sorted(options & {'SYSTEM', 'INPUT'}))}"
-        if keyword in seen and keyword in ONCE:
-            return number, f"a second *{keyword}, after the one in line {seen[keyword]},"
-        seen.setdefault(keyword, number)
-    return None
-
-
-def _nastran(lines: list[str]) -> tuple[int, str] | None:
-    for number, text in enumerate(lines, start=1):
-        if text.upper().startswith(("CORD", "INCLUDE")):
-            return number, text.split()[0].rstrip("*,")
-    return None
-
+from palpate.workers.input_files import reading
+from palpate.workers.organs.specimen.mesh_formats import read_cells
 
 Indices = NDArray[np.int64]
 
@@ -167,9 +43,6 @@ NO_BODY = ("vertex", "line")
 # Cells below this fraction of the mean volume are flat.
 FLAT = 1e-12
 FARTHEST_MM = 1e6
-SUFFIXES = (
-    ".stl", ".vtk", ".vtu", ".msh", ".inp", ".mesh", ".ply", ".obj", ".off", ".bdf", ".nas", ".fem",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +56,9 @@ class MeshFile:
     cell : ndarray of int, shape (m,)
         Cell of the file to which each belongs, counted over all blocks of volume cells.
     labels : dict of str to ndarray
-        Data of these cells.
+        Data of all volume cells of the file.
+    same : ndarray of int
+        First volume cell of the file with the same corners, for each of them.
     notes : tuple of str
         Notes on parts of the file that were left out.
     """
@@ -191,12 +66,29 @@ class MeshFile:
     corners: FloatArray
     cell: Indices
     labels: dict[str, FloatArray]
+    same: Indices
     notes: tuple[str, ...]
 
     @property
     def is_solid(self) -> bool:
         """Whether the file contains volume cells."""
         return self.corners.shape[1] == 4
+
+    @property
+    def size_mm(self) -> FloatArray:
+        """Sides of the box around the body, shape (3,)."""
+        return np.ptp(self.corners.reshape(-1, 3), axis=0)
+
+    @property
+    def volume_mm3(self) -> float | None:
+        """Volume of the body; None for a surface whose facets do not all face outwards."""
+        if self.is_solid:
+            edges = self.corners[:, 1:] - self.corners[:, :1]
+            return float(np.abs(np.linalg.det(edges)).sum()) / 6
+        if not _is_oriented(self.corners):
+            return None
+        middle = self.corners.reshape(-1, 3).mean(axis=0)
+        return abs(float(np.linalg.det(self.corners - middle).sum())) / 6
 
 
 def read_mesh_file(path: Path, mm_per_unit: float) -> MeshFile:
@@ -208,7 +100,7 @@ def read_mesh_file(path: Path, mm_per_unit: float) -> MeshFile:
         If the file cannot be read, or its cells and points do not form a body.
     """
     with reading(path, "a mesh"):
-        return _body(path, _read(path), mm_per_unit)
+        return _body(path, read_cells(path), mm_per_unit)
 
 
 def _body(path: Path, mesh: meshio.Mesh, mm_per_unit: float) -> MeshFile:
@@ -219,24 +111,6 @@ def _body(path: Path, mesh: meshio.Mesh, mm_per_unit: float) -> MeshFile:
     if solid:
         return _solid(path, mesh, points, solid)
     return _surface(path, points, [(kind, data) for kind, data in blocks if kind in SURFACES])
-
-
-def _read(path: Path) -> meshio.Mesh:
-    check_regular(path)
-    if path.suffix.lower() not in SUFFIXES:  # other formats consist of several files
-        raise InputError(
-            f"{path} is not in a supported mesh format: expected {', '.join(SUFFIXES)}."
-        )
-    check_deck(path)
-    check_counts(path)
-    said = io.StringIO()
-    try:
-        # meshio prints errors, and may misread the header of a text as a count.
-        with redirect_stdout(said), redirect_stderr(said), np.errstate(all="ignore"):
-            return meshio.read(path)
-    except (Exception, SystemExit) as error:  # damaged files raise almost any error
-        why = " ".join(said.getvalue().split()) or str(error) or type(error).__name__
-        raise InputError(f"{path} cannot be read as a mesh: {why}.") from error
 
 
 def _check_kinds(path: Path, blocks: list[tuple[str, Indices]]) -> None:
@@ -288,14 +162,15 @@ def _checked(path: Path, kind: str, data: Indices, points: FloatArray) -> Indice
 
 
 def _solid(path: Path, mesh: meshio.Mesh, points: FloatArray, blocks: list[int]) -> MeshFile:
-    """Return the volume cells as tetrahedra, without flat ones."""
-    corners, cells, first = [], [], 0
+    """Return the volume cells as tetrahedra, each once and without flat ones."""
+    corners, cells, rings, first = [], [], [], 0
     for block in (mesh.cells[n] for n in blocks):
         count, faces = VOLUMES[block.type]
         data = _checked(path, block.type, np.asarray(block.data, np.int64)[:, :count], points)
         parts, owner = _split(points, data, faces) if count > 4 else (points[data], _all(data))
         corners.append(parts)
         cells.append(owner + first)
+        rings.append(data)
         first += len(data)
     every, cell = np.concatenate(corners), np.concatenate(cells)
     size = np.abs(np.linalg.det(every[:, 1:] - every[:, :1])) / 6
@@ -303,7 +178,9 @@ def _solid(path: Path, mesh: meshio.Mesh, points: FloatArray, blocks: list[int])
     if not whole.sum() > 0:
         raise InputError(f"{path} has {first} volume cells, all of them flat.")
     flat = whole < FLAT * whole.mean()
-    kept = ~flat[cell] & (size > 0)
+    same = _first_of_same(points, rings)
+    again = same != _all(same)
+    kept = ~flat[cell] & ~again[cell] & (size > 0)
     labels = {
         name: np.concatenate(
             [np.asarray(data[n]).reshape(len(mesh.cells[n].data), -1)[:, 0] for n in blocks]
@@ -311,7 +188,29 @@ def _solid(path: Path, mesh: meshio.Mesh, points: FloatArray, blocks: list[int])
         for name, data in mesh.cell_data.items()
         if all(np.asarray(data[n]).size == len(mesh.cells[n].data) for n in blocks)
     }
-    return MeshFile(every[kept], cell[kept], labels, tuple(_notes(path, mesh, flat)))
+    notes = tuple(_notes(path, mesh, flat, again))
+    return MeshFile(every[kept], cell[kept], labels, same, notes)
+
+
+def _first_of_same(points: FloatArray, rings: list[Indices]) -> Indices:
+    """Return the first cell with the same corners, in any order, for each cell."""
+    used, place = np.unique(np.concatenate([ring.ravel() for ring in rings]), return_inverse=True)
+    _, spot = np.unique(points[used], axis=0, return_inverse=True)
+    spot = spot.ravel()
+    widest = max(ring.shape[1] for ring in rings)
+    ends = np.cumsum([ring.size for ring in rings])
+    corners = [
+        np.pad(
+            np.sort(part.reshape(ring.shape), axis=1),
+            ((0, 0), (0, widest - ring.shape[1])),
+            constant_values=-1,
+        )
+        for part, ring in zip(np.split(spot[place], ends[:-1]), rings, strict=True)
+    ]
+    _, first, group = np.unique(
+        np.concatenate(corners), axis=0, return_index=True, return_inverse=True
+    )
+    return np.asarray(first[group.ravel()], np.int64)
 
 
 def _all(data: Indices) -> Indices:
@@ -341,9 +240,14 @@ def _split(
     return np.concatenate([middle[owner][:, None], points[every]], axis=1), owner
 
 
-def _notes(path: Path, mesh: meshio.Mesh, flat: BoolArray) -> list[str]:
+def _notes(path: Path, mesh: meshio.Mesh, flat: BoolArray, again: BoolArray) -> list[str]:
     """Return notes on cells that are not part of the body."""
     notes = []
+    if again.any():
+        notes.append(
+            f"{int(again.sum())} of {len(again)} cells of {path.name} have the corners of an "
+            "earlier one, as in files with several groups for a cell, and are counted once."
+        )
     if flat.any():
         notes.append(
             f"{int(flat.sum())} of {len(flat)} cells of {path.name} are flat and left out."
@@ -369,7 +273,16 @@ def _surface(path: Path, points: FloatArray, blocks: list[tuple[str, Indices]]) 
     kept = _once(index.reshape(-1, 3))
     twice = len(triangles) - len(kept)
     notes = (f"{twice} facets of {path.name} are duplicates and counted once.",) if twice else ()
-    return MeshFile(used[kept], _all(kept), {}, notes)
+    return MeshFile(used[kept], _all(kept), {}, _all(kept), notes)
+
+
+def _is_oriented(corners: FloatArray) -> bool:
+    """Test whether each edge is passed as often in one direction as in the other."""
+    used, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    start = index.reshape(-1, 3).astype(np.int64)
+    end = np.roll(start, -1, axis=1)
+    there, back = (np.sort((a * len(used) + b).ravel()) for a, b in ((start, end), (end, start)))
+    return bool((there == back).all())
 
 
 def _once(triangles: Indices) -> Indices:

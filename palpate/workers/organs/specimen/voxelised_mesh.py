@@ -1,5 +1,6 @@
 """Bodies of mesh files as labelled voxels, meshed like a scan."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,8 @@ from palpate.workers.organs.specimen.specimen_keys import BodySpec, SpecimenSpec
 # Cell data with the groups of Gmsh, the default of label_array.
 PHYSICAL = "gmsh:physical"
 LEAST_VOXELS, MOST_VOXELS = 8, 2e8
-# Largest relative difference between the volumes of cells and voxels.
-MOST_OFF = 0.15
+# Relative differences between the volumes of a mesh and its voxels: refused, and noted.
+MOST_OFF, NOTED_OFF = 0.15, 0.02
 # Pieces and cavities below this fraction of the body are due to rounding.
 SPECK = 1e-3
 WHOLE = 1e-3  # distance of a label from a whole number
@@ -47,6 +48,22 @@ def body_of_file(spec: SpecimenSpec, path: Path) -> tuple[Volume, tuple[str, ...
         If the file cannot be read or contains neither volume cells nor a closed surface, or its
         body has loose pieces or encloses a cavity.
     """
+    mesh, voxels = _mesh_and_voxels(spec, path)
+    return voxels, (*mesh.notes, *_volume_note(path, mesh, voxels))
+
+
+def size_of_file(spec: SpecimenSpec, path: Path) -> str:
+    """Return the size and the volume of the body of a file, and of its voxels, as text."""
+    mesh, voxels = _mesh_and_voxels(spec, path)
+    size = " x ".join(f"{side:.4g}" for side in mesh.size_mm)
+    volume = "" if mesh.volume_mm3 is None else f", {mesh.volume_mm3 / 1000:.4g} ml"
+    return (
+        f"{size} mm{volume}; {_volume_mm3(voxels) / 1000:.4g} ml in voxels of "
+        f"{voxels.spacing_mm[0]:g} mm"
+    )
+
+
+def _mesh_and_voxels(spec: SpecimenSpec, path: Path) -> tuple[MeshFile, Volume]:
     body = spec.body
     mesh, voxel = read_mesh_file(path, body.mm_per_unit), body.voxel_mm
     if voxel is None:
@@ -56,7 +73,6 @@ def body_of_file(spec: SpecimenSpec, path: Path) -> tuple[Volume, tuple[str, ...
     origin = low + voxel / 2
     if mesh.is_solid:
         _fill(mesh.corners, _tissues(spec, mesh, path), origin, voxel, values)
-        _check_volume(path, mesh.corners, int((values > 0).sum()) * voxel**3)
     else:
         if body.labels is not None:
             raise InputError(f"{path} is a surface and has no cells to label. Remove body.labels.")
@@ -65,9 +81,14 @@ def body_of_file(spec: SpecimenSpec, path: Path) -> tuple[Volume, tuple[str, ...
         _cross(mesh.corners, beside, voxel, values, crossings)
         _closed(crossings, path)
         values *= int(spec.tissue_of(next(iter(spec.materials))))
-    _check_whole(path, values > 0, voxel)
     x, y, z = map(float, origin)
-    return Volume(values, (voxel, voxel, voxel), (x, y, z)), mesh.notes
+    voxels = Volume(values, (voxel, voxel, voxel), (x, y, z))
+    if mesh.is_solid:
+        _check_volume(path, mesh, voxels)
+    _check_whole(path, values > 0, voxel)
+    if not mesh.is_solid:
+        _check_volume(path, mesh, voxels)
+    return mesh, voxels
 
 
 def _grid(path: Path, points: FloatArray, voxel: float) -> tuple[FloatArray, NDArray[np.int64]]:
@@ -90,14 +111,39 @@ def _grid(path: Path, points: FloatArray, voxel: float) -> tuple[FloatArray, NDA
     return (low + high - count * voxel) / 2, count
 
 
-def _check_volume(path: Path, corners: FloatArray, filled_mm3: float) -> None:
+def _volume_mm3(voxels: Volume) -> float:
+    return int((voxels.values > 0).sum()) * voxels.voxel_mm3
+
+
+def _check_volume(path: Path, mesh: MeshFile, voxels: Volume) -> None:
     """Refuse cells that overlap or that voxels do not resolve."""
-    stated = float(np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum()) / 6
-    if abs(filled_mm3 / stated - 1) > MOST_OFF:
-        raise InputError(
-            f"The cells of {path} add up to {stated / 1000:.4g} ml, but fill "
-            f"{filled_mm3 / 1000:.4g} ml: they overlap, or are thinner than the voxels. "
-            "Repair the mesh, or set a smaller body.voxel_mm."
+    stated, filled_mm3 = mesh.volume_mm3, _volume_mm3(voxels)
+    if stated is None or abs(filled_mm3 - stated) <= MOST_OFF * stated:
+        return
+    what, how = (
+        ("The cells of {} add up to", "overlap, or are thinner than the voxels")
+        if mesh.is_solid
+        else ("The facets of {} enclose", "overlap, face inwards in parts, or are too close")
+    )
+    raise InputError(
+        f"{what.format(path)} {stated / 1000:.4g} ml, but fill {filled_mm3 / 1000:.4g} ml: they "
+        f"{how}. Repair the mesh, or set a smaller body.voxel_mm."
+    )
+
+
+def _volume_note(path: Path, mesh: MeshFile, voxels: Volume) -> Iterator[str]:
+    """Yield a note if the voxels are noticeably larger or smaller than the body."""
+    stated, filled_mm3 = mesh.volume_mm3, _volume_mm3(voxels)
+    if stated is not None and abs(filled_mm3 - stated) > NOTED_OFF * stated:
+        sides = np.array(voxels.values.shape[::-1]) * voxels.spacing_mm
+        mesh_size, voxel_size = (
+            " x ".join(f"{side:.4g}" for side in size) for size in (mesh.size_mm, sides)
+        )
+        yield (
+            f"Voxels of {voxels.spacing_mm[0]:g} mm hold {filled_mm3 / 1000:.4g} ml, "
+            f"{filled_mm3 / stated - 1:+.1%} against the {stated / 1000:.4g} ml of {path.name}: "
+            f"{voxel_size} mm in voxels, {mesh_size} mm in the file. The stiffness is off by as "
+            "much or more; set a body.voxel_mm that is smaller or divides the sides."
         )
 
 
@@ -127,13 +173,25 @@ def _tissues(spec: SpecimenSpec, mesh: MeshFile, path: Path) -> NDArray[np.uint8
     body = spec.body
     if body.labels is None:
         return np.full(len(mesh.cell), int(spec.tissue_of(next(iter(spec.materials)))), np.uint8)
-    own = _labels(mesh, body, path)[mesh.cell]
-    unknown = sorted(set(own.tolist()) - set(body.labels))
+    labels = _labels(mesh, body, path)
+    stated = np.zeros(len(labels), np.uint8)
+    for label, material in body.labels.items():
+        stated[labels == label] = int(spec.tissue_of(material))
+    # A cell in several groups takes the one that body.labels names.
+    own = np.zeros(len(labels), np.uint8)
+    np.maximum.at(own, mesh.same, stated)
+    both = (stated > 0) & (stated != own[mesh.same])
+    if both.any():
+        cell = int(np.flatnonzero(both)[0])
+        groups = sorted(set(labels[mesh.same == mesh.same[cell]].tolist()) & set(body.labels))
+        raise InputError(
+            f"{path}: cell {cell}, counted from 0, has the labels {groups}, which are of different "
+            "materials in body.labels. Name there only one label of each cell."
+        )
+    tissues = own[mesh.cell]
+    unknown = sorted(set(labels[mesh.cell[tissues == 0]].tolist()))
     if unknown:
         raise InputError(f"{path} has the labels {unknown}, which are missing in body.labels.")
-    tissues = np.zeros(len(own), np.uint8)
-    for label, material in body.labels.items():
-        tissues[own == label] = int(spec.tissue_of(material))
     return tissues
 
 

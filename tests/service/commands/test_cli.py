@@ -1,6 +1,7 @@
 """Output and exit codes of commands."""
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -213,6 +214,26 @@ def test_too_few_points_do_not_rank_laws(call: Call, tmp_path: Path) -> None:
     table.write_text("\n".join(["stretch,stress_kpa", rows[0]]))
     code, _, err = call("fit-law", str(table), "--law", "yeoh")
     assert (code, "1 points under load, but yeoh has 3 constants" in err) == (2, True)
+
+
+def test_fit_law_shows_the_range_of_E_and_a_slack_start(call: Call, tmp_path: Path) -> None:
+    """Neo-Hooke of 3 kPa behind 4 % of slack."""
+    stretch = np.linspace(1, 1.4, 21)
+    rows = [f"{1.04 * x},{3 * (x - x**-2)}" for x in stretch]
+    table = tmp_path / "table.csv"
+    table.write_text("\n".join(["stretch,stress_kpa", "1,0", "1.02,0", *rows]))
+    code, said, _ = call("fit-law", str(table), "--json")
+    told = json.loads(said)
+    (slack,) = told["slack"]
+    assert (code, slack["table"]) == (0, 1)
+    assert slack["offset_strain"] == pytest.approx(0.04, abs=1e-3)
+    assert slack["E_kpa"] == pytest.approx(2 * 1.49 * 3, rel=0.02)
+    for low, high in told["E_range_kpa"].values():
+        assert low < told["fits"][0]["E_kpa"] <= high
+        assert high >= slack["E_kpa"]
+    _, said, _ = call("fit-law", str(table), "--law", "neo-hookean")
+    assert re.search(r"E of neo-hookean is \d\.\d+ kPa over all points, \d.* kPa over parts", said)
+    assert "Table 1 looks slack up to 4 % of strain." in said
 
 
 def test_laws_are_fitted_to_tables(call: Call, tmp_path: Path) -> None:

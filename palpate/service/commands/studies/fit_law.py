@@ -9,8 +9,14 @@ import typer
 from palpate.service.commands.shared_options import JsonOption, print_json
 from palpate.service.commands.terminal_tables import echo_table
 from palpate.storage.errors import InputError
-from palpate.workers.mechanics.materials.law_fit import LawFit, equally_good, read_tables
+from palpate.workers.mechanics.materials.law_fit import (
+    LawFit,
+    StressTable,
+    equally_good,
+    read_tables,
+)
 from palpate.workers.mechanics.materials.law_fit import fit_law as fit_one
+from palpate.workers.mechanics.materials.law_fit_range import TableSlack, moduli_of_parts, slack_of
 from palpate.workers.mechanics.materials.law_plugins import law_named, law_names
 
 
@@ -56,23 +62,74 @@ def fit_law(
         raise InputError("No law can be fitted. " + " ".join(dict.fromkeys(failed.values())))
     fits.sort(key=lambda one: one.aicc)
     best = equally_good(fits)
+    measured = [table for _, table in read]
+    slack = list(slack_of([law_named(name) for name in law_names()], measured))
+    ranges = {fit.plugin.name: _range_kpa(fit, measured, slack, nu) for fit in best}
     if as_json:
         print_json(
             {
                 "tables": sources,
                 "fits": [_record(fit, nu) for fit in fits],
                 "equally_good": [fit.plugin.name for fit in best],
+                "E_range_kpa": ranges,
+                "slack": [_slack_record(one, nu) for one in slack],
                 "failed": failed,
             }
         )
         return
-    _print(fits, best, sources, nu)
+    _print_fits(fits, best, sources)
+    _print_range(best[0], ranges[best[0].plugin.name], slack, nu)
+    _print_lines(best[0], nu)
     for name, reason in failed.items():
         typer.echo(f"{name}: not fitted. {reason}")
 
 
 def _young_kpa(one: LawFit, nu: float) -> float:
     return 2 * (1 + nu) * one.shear_modulus_mpa * 1e3
+
+
+def _range_kpa(
+    one: LawFit, tables: list[StressTable], slack: list[TableSlack], nu: float
+) -> tuple[float, float] | None:
+    """Return the least and the largest E over parts of the range and without slack starts."""
+    shear_mpa = [*(moduli_of_parts(one, tables) or ()), *(s.fit.shear_modulus_mpa for s in slack)]
+    if not shear_mpa:
+        return None
+    low, high = (2 * (1 + nu) * end * 1e3 for end in (min(shear_mpa), max(shear_mpa)))
+    return low, high
+
+
+def _slack_record(slack: TableSlack, nu: float) -> dict[str, Any]:
+    return {
+        "table": slack.table + 1,
+        "offset_strain": slack.offset,
+        "law": slack.fit.plugin.name,
+        "E_kpa": _young_kpa(slack.fit, nu),
+        "relative_error": slack.fit.fit.error,
+    }
+
+
+def _print_range(
+    chosen: LawFit, ends_kpa: tuple[float, float] | None, slack: list[TableSlack], nu: float
+) -> None:
+    """Print E with its interval over the range of the tables, and which tables are slack."""
+    law = chosen.plugin.name
+    told = f"E of {law} is {_young_kpa(chosen, nu):.4g} kPa over all points"
+    if ends_kpa is None:
+        typer.echo(f"{told}; these are too few to tell how E depends on the range of strain.")
+    else:
+        typer.echo(f"{told}, {ends_kpa[0]:.4g} to {ends_kpa[1]:.4g} kPa over parts of the range.")
+    for one in slack:
+        counted, E_kpa = one.fit.plugin.name, _young_kpa(one.fit, nu)
+        typer.echo(f"Table {one.table + 1} looks slack up to {100 * one.offset:.2g} % of strain.")
+        typer.echo(f"Counted from there, {counted} has E {E_kpa:.4g} kPa and an error of")
+        from_zero = 100 * chosen.fit.errors[one.table]
+        typer.echo(
+            f"{100 * one.fit.fit.error:.2g} %; from 0, {law} has an error of {from_zero:.2g} %."
+        )
+        typer.echo("If the specimen was slack, leave these rows out and count strain from there;")
+        typer.echo("if its fibres straighten there, the table is right as it is.")
+    typer.echo()
 
 
 def _record(one: LawFit, nu: float) -> dict[str, Any]:
@@ -88,7 +145,7 @@ def _record(one: LawFit, nu: float) -> dict[str, Any]:
     }
 
 
-def _print(fits: list[LawFit], best: list[LawFit], sources: list[str], nu: float) -> None:
+def _print_fits(fits: list[LawFit], best: list[LawFit], sources: list[str]) -> None:
     for number, source in enumerate(sources, 1):
         typer.echo(f"table {number}: {source}")
     typer.echo()
@@ -112,7 +169,10 @@ def _print(fits: list[LawFit], best: list[LawFit], sources: list[str], nu: float
         typer.echo("AICc assumes independent deviations, but neighbouring points on a curve")
         typer.echo("are correlated, so small differences mean little.")
         typer.echo()
-    chosen = best[0]
+
+
+def _print_lines(chosen: LawFit, nu: float) -> None:
+    """Print the lines for a study or an experiment."""
     constants = chosen.constants
     law, E = chosen.plugin.name, f"{_young_kpa(chosen, nu):.5g}"
     shape = "".join(f", {name}_fat: {value:.5g}" for name, value in constants.items())

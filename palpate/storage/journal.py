@@ -7,9 +7,9 @@ r"""The journal from which a study is resumed: an append-only file of JSON recor
     {"kind":"evaluation","cand                   torn: its writer was killed here
 
 A record exists once its newline is on disk. Anything after the last newline is ignored by
-readers and cut off by the next writer. There is one writer
-at a time; it holds a kernel lock (``flock``), which is released when the process ends,
-however it ends.
+readers and cut off by the next writer. Each line names the line before it, see
+`storage.chained_lines`. There is one writer at a time; it holds a kernel lock (``flock``), which
+is released when the process ends, however it ends.
 """
 
 import fcntl
@@ -17,16 +17,17 @@ import os
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Self
 
 from palpate.storage.backends.atomic_files import NO_LOCKS, NO_LOCKS_ADVICE, hint, read_hint, sync
+from palpate.storage.chained_lines import LineChain, Seal, line_before, whole_bytes
 from palpate.storage.errors import JournalError
 from palpate.storage.journal_records import SCHEMA_VERSION
-from palpate.storage.json_digests import ChecksumError, dumps, loads, seal, unseal
+from palpate.storage.json_digests import ChecksumError, loads
 from palpate.storage.store import check_schema
 
-BLOCK = 65_536
 LOCK_PATIENCE_S = 1.0
 
 
@@ -37,6 +38,11 @@ class Journal:
     ----------
     path : Path
         Created if missing; its folder must exist.
+
+    Attributes
+    ----------
+    last_written : datetime
+        Time of the last write before this writer opened the journal.
 
     Raises
     ------
@@ -58,8 +64,9 @@ class Journal:
         self._handle = self._open()
         try:
             self._lock()
-            self._size = _whole_bytes(self._handle)
-            os.ftruncate(self._handle, self._size)
+            self.last_written = datetime.fromtimestamp(os.fstat(self._handle).st_mtime, UTC)
+            self._size = self._without_tail()
+            self._last_line = line_before(self._handle, self._size)
             sync(self.path.parent)  # puts the name of a new file on disk, too
         except OSError as error:
             self.close()
@@ -89,12 +96,15 @@ class Journal:
             return
         if self._handle < 0:
             raise JournalError(f"{self.path} has been closed; open it again to append.")
-        data = "".join(seal(dumps(record)) + "\n" for record in records).encode()
+        chain = LineChain(self._last_line)
+        lines = [chain.sealed(record) + b"\n" for record in records]
+        data = b"".join(lines)
         try:
             self._check_file()
             _write_all(self._handle, data)
             os.fsync(self._handle)
             self._size += len(data)
+            self._last_line = lines[-1]
         except OSError as error:
             self._cut_back()
             raise self._failed("written", error) from error
@@ -114,15 +124,16 @@ class Journal:
         return (record for record, _ in Journal.lines(path))
 
     @staticmethod
-    def lines(path: Path | str) -> Iterator[tuple[dict[str, Any], bool]]:
-        """Yield every whole record in order, and whether its checksum was verified.
+    def lines(path: Path | str) -> Iterator[tuple[dict[str, Any], Seal]]:
+        """Yield every whole record in order, and what protects it.
 
-        A missing journal has no records. Records of earlier versions have no checksum.
+        A missing journal has no records.
 
         Raises
         ------
         JournalError
-            If a line is damaged, its checksum is wrong, or the file cannot be read.
+            If a line is damaged, its checksum is wrong, it does not follow the line before it,
+            or the file cannot be read.
         NewerSchemaError
             If a newer version of Palpate wrote a record.
         """
@@ -135,11 +146,12 @@ class Journal:
             raise JournalError(
                 f"{path} cannot be read: {error.strerror or error}. {read_hint(error)}"
             ) from error
+        chain = LineChain()
         with file:
             for number, line in enumerate(file, start=1):
                 if not line.endswith(b"\n"):
                     return
-                yield _parse(line, path, number)
+                yield _parse(chain, line, path, number)
 
     @staticmethod
     def is_being_written(path: Path | str) -> bool:
@@ -197,6 +209,16 @@ class Journal:
             raise JournalError(
                 f"{self.path} cannot be locked: {error.strerror or error}. {NO_LOCKS_ADVICE}"
             ) from error
+
+    def _without_tail(self) -> int:
+        """Cut off a torn tail and return the size; the time of the last write stays."""
+        known = os.fstat(self._handle)
+        size = whole_bytes(self._handle, known.st_size)
+        if size < known.st_size:
+            os.ftruncate(self._handle, size)
+            with suppress(OSError):  # only the owner of a file may set its time
+                os.utime(self._handle, ns=(known.st_atime_ns, known.st_mtime_ns))
+        return size
 
     def _check_file(self) -> None:
         """Raise an error if the file is no longer the one that was opened."""
@@ -259,27 +281,15 @@ def _write_all(handle: int, data: bytes) -> None:
         view = view[os.write(handle, view) :]
 
 
-def _whole_bytes(handle: int) -> int:
-    """Return the size of a file up to and including its last newline."""
-    end = os.fstat(handle).st_size
-    while end > 0:
-        start = max(end - BLOCK, 0)
-        newline = os.pread(handle, end - start, start).rfind(b"\n")
-        if newline >= 0:
-            return start + newline + 1
-        end = start
-    return 0
-
-
-def _parse(line: bytes, path: Path, number: int) -> tuple[dict[str, Any], bool]:
+def _parse(chain: LineChain, line: bytes, path: Path, number: int) -> tuple[dict[str, Any], Seal]:
     try:
         try:
-            record, verified = unseal(line)
+            record, protection = chain.read(line)
         except ChecksumError:
             _check_schema(loads(line), path, number)  # newer versions may sum differently
             raise
         _check_schema(record, path, number)
-        return record, verified
+        return record, protection
     except ValueError as error:
         what = error if isinstance(error, ChecksumError) else f"not a JSON record ({error})"
         kept = f"the {number - 1} lines before it are" if number > 2 else "the line before it is"

@@ -29,6 +29,7 @@ without an ending.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any, ClassVar, Self
 
@@ -61,7 +62,8 @@ class Status(StrEnum):
         return self in (Status.DONE, Status.DIVERGED, Status.CRASHED)
 
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""Version 1 has the same records, in lines that do not name the line before them."""
 
 
 class _JournalRecord:
@@ -158,10 +160,13 @@ class SessionRecord(_JournalRecord):
         Duration of the preparation.
     caveats : sequence of str, optional
         Caveats shown before every result, such as a failed plausibility check.
+    previous_run_s : float, optional
+        Wall time of the run before this one up to its last sign, which a killed run cannot record
+        itself; None for the first run.
     """
 
     kind: ClassVar[str] = "session"
-    left_out_if_none: ClassVar[frozenset[str]] = frozenset({"caveats"})
+    left_out_if_none: ClassVar[frozenset[str]] = frozenset({"caveats", "previous_run_s"})
 
     began: str
     store: str
@@ -171,9 +176,19 @@ class SessionRecord(_JournalRecord):
     workers: int
     seconds: float
     caveats: Sequence[str] | None = None
+    previous_run_s: float | None = None
 
     def __post_init__(self) -> None:
         _restore_numbers(self, "prepared", "target")
+
+    @property
+    def began_at(self) -> datetime | None:
+        """Return the time of `began`, in UTC if it names no zone; None if it is not a time."""
+        try:
+            moment = datetime.fromisoformat(self.began)
+        except (ValueError, TypeError):
+            return None
+        return moment if moment.tzinfo is not None else moment.replace(tzinfo=UTC)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ and in any order of keys; floats differ if any bit differs.
 
 The checksum of a record is the last field of its line of JSON and covers every byte before it, so
 a changed digit is found even if it parses to the same number. Records of earlier versions have
-none: they can be read, but not verified.
+none: they can be read, but not verified. Lines of a journal also contain the checksum of the line
+before; see `storage.chained_lines`.
 """
 
 import hashlib
@@ -277,6 +278,7 @@ def _bytes_of(path: Path) -> str:
 
 CHECKSUM_KEY = "checksum"
 CHECKSUM_LENGTH = 16
+SEAL_LENGTH = len(f'"{CHECKSUM_KEY}":""}}') + CHECKSUM_LENGTH
 
 
 class ChecksumError(ValueError):
@@ -293,7 +295,7 @@ def seal(text: str) -> str:
     """
     body = text[:-1]
     comma = "" if body == "{" else ","
-    return f'{body}{comma}"{CHECKSUM_KEY}":"{_line_checksum(body)}"}}'
+    return f"{body}{comma}{_seal_of(body.encode())}"
 
 
 def unseal(line: str | bytes) -> tuple[dict[str, Any], bool]:
@@ -318,13 +320,17 @@ def unseal(line: str | bytes) -> tuple[dict[str, Any], bool]:
         raise ValueError("not an object")
     if CHECKSUM_KEY not in record:
         return record, False
-    text = (line if isinstance(line, str) else line.decode()).strip()
-    body = text[: text.rfind(f'"{CHECKSUM_KEY}"')].removesuffix(",")
+    text = (line.encode() if isinstance(line, str) else line).strip()
     del record[CHECKSUM_KEY]
-    if text != seal(body + "}"):
+    if text[-SEAL_LENGTH:] != _seal_of(text[:-SEAL_LENGTH].removesuffix(b",")).encode():
         raise ChecksumError("its checksum is wrong, so something in it has changed")
     return record, True
 
 
-def _line_checksum(body: str) -> str:
-    return hashlib.sha256(body.encode()).hexdigest()[:CHECKSUM_LENGTH]
+def _seal_of(body: bytes) -> str:
+    return f'"{CHECKSUM_KEY}":"{line_checksum(body)}"}}'
+
+
+def line_checksum(body: bytes) -> str:
+    """Return the checksum of a line without its last field and bracket."""
+    return hashlib.sha256(body).hexdigest()[:CHECKSUM_LENGTH]

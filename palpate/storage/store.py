@@ -241,7 +241,7 @@ def save_evaluation(store: Store, digest: str, record: Mapping[str, Any]) -> Non
     ----------
     store : Store
     digest : str
-        Digest of the evaluation.
+        Digest of the evaluation, which is also part of the record.
     record : mapping
         JSON-able; numbers below its top level may be infinite or NaN.
 
@@ -260,7 +260,7 @@ def load_evaluation(store: Store, digest: str) -> EvaluationResult | None:
     Raises
     ------
     StoreError
-        If the record is damaged.
+        If the record is damaged, or is that of another evaluation.
     NewerSchemaError
         If a newer version of Palpate wrote it.
     """
@@ -268,7 +268,12 @@ def load_evaluation(store: Store, digest: str) -> EvaluationResult | None:
     try:
         written, _ = unseal(store.backend.read(path))
         check_schema(written["schema_version"], EVALUATION_SCHEMA, path)
-        return cast(EvaluationResult, from_plain(dict(written["record"])))
+        record = from_plain(dict(written["record"]))
+        if record["digest"] != digest:
+            raise ValueError(
+                f"it holds the evaluation {record['digest']}, so files of this store were exchanged"
+            )
+        return cast(EvaluationResult, record)
     except FileNotFoundError:
         return None
     except (ValueError, KeyError, TypeError) as error:

@@ -1,8 +1,10 @@
 """Everything large in a store, as named arrays in Zarr: volumes, displacements and meshes.
 
 Format 3, zstd, published when complete. A group stores a CRC-32 of every array, because
-Zarr reads a missing chunk as zeros without an error, and a checksum of its description. Entries
-are copied between folders and buckets.
+Zarr reads a missing chunk as zeros without an error, a checksum of its description, and its own
+name with a checksum of both, because one whole group may be put in the place of another. Groups of
+earlier versions lack the name or both checksums: they can be read, but not verified. Entries are
+copied between folders and buckets.
 
 The array ``values`` of a voxel volume (a phantom, an image, a target or a deformed body) is
 chunked and compressed. Spacing, origin and the names of tissue labels are attributes.
@@ -66,16 +68,25 @@ def save_arrays(
     StoreError
         If an array is not numeric, or the place cannot be written.
     """
+    _publish(path, arrays, meta or {}, named=True)
+
+
+def _publish(
+    path: Place, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, named: bool
+) -> None:
     for name, array in arrays.items():
         _check_array(name, array)
     if has_arrays(path):
         return
     attributes = {
         "schema_version": SCHEMA_VERSION,
-        "meta": to_plain(meta or {}),
+        "meta": to_plain(meta),
         "crc32": {name: _crc32(array) for name, array in arrays.items()},
     }
     attributes["checksum"] = _checksum(attributes)
+    if named:
+        attributes["name"] = _entry_name(path)
+        attributes["name_checksum"] = _name_checksum(attributes)
 
     def fill(group: zarr.Group) -> None:
         for name, array in arrays.items():
@@ -112,11 +123,26 @@ def load_arrays(path: Place, names: Iterable[str] | None = None) -> tuple[Arrays
     Raises
     ------
     StoreError
-        If the group is missing, lacks an array or is damaged.
+        If the group is missing, lacks an array, is damaged or was written under another name.
     NewerSchemaError
         If a newer version of Palpate wrote it.
     """
     attributes = _attributes(path)
+    return _arrays(path, attributes, names), from_plain(attributes["meta"])
+
+
+def has_sealed_name(path: Place) -> bool:
+    """Return True if the name of a group was written with it; False in earlier versions.
+
+    Raises
+    ------
+    StoreError
+        If the group is missing or damaged.
+    """
+    return "name" in _attributes(path)
+
+
+def _arrays(path: Place, attributes: dict[str, Any], names: Iterable[str] | None) -> Arrays:
     checksums: dict[str, int] = attributes["crc32"]
     arrays: Arrays = {}
     for name in checksums if names is None else names:
@@ -127,7 +153,7 @@ def load_arrays(path: Place, names: Iterable[str] | None = None) -> tuple[Arrays
         if _crc32(array) != checksums[name]:
             raise _damaged(path, f"the checksum of array {name!r} is wrong")
         arrays[name] = array
-    return arrays, from_plain(attributes["meta"])
+    return arrays
 
 
 def load_meta(path: Place) -> Meta:
@@ -171,7 +197,29 @@ def _attributes(path: Place) -> dict[str, Any]:
         raise _damaged(path, "its description is incomplete")
     if attributes.get("checksum", _checksum(attributes)) != _checksum(attributes):
         raise _damaged(path, "the checksum of its description is wrong")
+    if "name" in attributes:
+        _check_name(path, attributes)
     return attributes
+
+
+def _check_name(path: Place, attributes: Mapping[str, Any]) -> None:
+    if attributes.get("name_checksum") != _name_checksum(attributes):
+        raise _damaged(path, "the checksum of its name is wrong")
+    if attributes["name"] != _entry_name(path):
+        raise StoreError(
+            f"{path} is damaged: it was written as {attributes['name']}, so entries of this store "
+            "were exchanged. Put it back under that name, or set it aside with `palpate store "
+            "check --repair` and run the study again."
+        )
+
+
+def _entry_name(path: Place) -> str:
+    """Return the kind and digest of an entry, such as ``meshes/3f2a9c0d1b7e6a54``."""
+    return f"{path.parent.name}/{path.stem}"
+
+
+def _name_checksum(attributes: Mapping[str, Any]) -> str:
+    return digest(attributes["name"], attributes.get("checksum", ""))
 
 
 def _checksum(attributes: Mapping[str, Any]) -> str:
@@ -224,7 +272,8 @@ def copy_entry(source: Place, target: Place) -> None:
         If a newer version of Palpate wrote the source.
     """
     if source.suffix == ".zarr":
-        save_arrays(target, *load_arrays(source))
+        # A name that was never verified is not sealed by copying it.
+        _publish(target, *load_arrays(source), named=has_sealed_name(source))
     elif not backend_of(target).is_file(target):
         backend_of(target).write(target, backend_of(source).read(source))
 

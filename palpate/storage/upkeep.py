@@ -27,7 +27,7 @@ from palpate.storage.backends.store_paths import Location, Place, place_of
 from palpate.storage.errors import NewerSchemaError, StoreError
 from palpate.storage.json_digests import dumps, loads
 from palpate.storage.store import Store, load_evaluation, stored_schema, write_schema
-from palpate.storage.stored_arrays import has_field, has_volume, load_arrays
+from palpate.storage.stored_arrays import has_field, has_sealed_name, has_volume, load_arrays
 
 DAMAGED = "damaged"
 
@@ -57,15 +57,18 @@ class StoreCheck:
     damages : list of Damage
     leftovers : list of Path or ObjectPath
         Entries that were unfinished when a process ended; readers skip them.
+    unnamed : int
+        Number of entries whose name is not sealed, written by an earlier version.
     """
 
     counts: dict[str, int]
     damages: list[Damage]
     leftovers: list[Place]
+    unnamed: int
 
 
 def check_store(store: Store) -> StoreCheck:
-    """Read every array and record of a store, and verify their checksums.
+    """Read every array and record of a store, and verify their checksums and names.
 
     An evaluation whose field is missing or damaged counts as damaged.
 
@@ -78,13 +81,19 @@ def check_store(store: Store) -> StoreCheck:
     counts: dict[str, int] = {}
     damages: list[Damage] = []
     leftovers: list[Place] = []
+    unnamed = 0
     for folder in layout.folders:
         entries = store.backend.entries(folder)
         leftovers += [entry.place for entry in entries if entry.half_written]
         whole = [entry.place for entry in entries if not entry.half_written]
         counts[folder.name] = len(whole)
-        damages += list(_damages(store, folder, whole, {damage.path for damage in damages}))
-    return StoreCheck(counts, damages, leftovers)
+        damaged = {damage.path for damage in damages}
+        for entry in whole:
+            reason, named = _verified(store, entry, damaged)
+            unnamed += not named
+            if reason:
+                damages.append(Damage(entry, reason))
+    return StoreCheck(counts, damages, leftovers, unnamed)
 
 
 def set_aside(store: Store, damages: list[Damage]) -> Place:
@@ -105,23 +114,17 @@ def set_aside(store: Store, damages: list[Damage]) -> Place:
     return root
 
 
-def _damages(
-    store: Store, folder: Place, entries: list[Place], damaged: set[Place]
-) -> Iterator[Damage]:
-    records = folder == store.layout.evaluations
-    for entry in entries:
-        try:
-            if records:
-                reason = _record_damage(store, entry, damaged)
-            else:
-                load_arrays(entry)
-                reason = ""
-        except NewerSchemaError:
-            raise
-        except StoreError as error:
-            reason = str(error)
-        if reason:
-            yield Damage(entry, reason)
+def _verified(store: Store, entry: Place, damaged: set[Place]) -> tuple[str, bool]:
+    """Return what is wrong with an entry, if anything, and False if its name is not sealed."""
+    try:
+        if entry.parent == store.layout.evaluations:
+            return _record_damage(store, entry, damaged), True
+        load_arrays(entry)
+        return "", has_sealed_name(entry)
+    except NewerSchemaError:
+        raise
+    except StoreError as error:
+        return str(error), True
 
 
 def _record_damage(store: Store, entry: Place, damaged: set[Place]) -> str:

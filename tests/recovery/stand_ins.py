@@ -27,8 +27,9 @@ from palpate.service.study.study_folder import StudyLog
 from palpate.service.study.study_keys import StudySpec, parse_spec
 from palpate.service.study.task_requests import Tasks
 from palpate.storage.backends.store_paths import Location, StudyLayout
+from palpate.storage.chained_lines import LineChain
 from palpate.storage.errors import StoreError
-from palpate.storage.json_digests import CHECKSUM_KEY, digest, dumps, seal
+from palpate.storage.json_digests import CHECKSUM_KEY, digest
 from palpate.storage.store import Store, load_evaluation, open_store, save_evaluation
 from palpate.workers.organs.normal_equations import NormalEquations
 from palpate.workers.tasks.pipeline import with_priors
@@ -218,8 +219,9 @@ def told(folder: Path) -> dict[int, tuple[Any, ...]]:
 
 def rewrite(journal: Path, records: Iterable[Record]) -> None:
     """Rewrite a journal with correct checksums, as a forger would, unlike a failing disk."""
+    chain = LineChain()
     lines = [{k: v for k, v in record.items() if k != CHECKSUM_KEY} for record in records]
-    journal.write_text("".join(seal(dumps(line)) + "\n" for line in lines))
+    journal.write_bytes(b"".join(chain.sealed(line) + b"\n" for line in lines))
 
 
 def executions(folder: Path) -> list[str]:

@@ -314,7 +314,7 @@ def test_rejects_newer_stores_and_journals(folder: Path) -> None:
     with pytest.raises(NewerSchemaError, match="newer version"):
         run(folder, Inline())
     journal = journal_of(folder)
-    journal.write_text(journal.read_text().replace('"schema_version":1', '"schema_version":2'))
+    journal.write_text(journal.read_text().replace('"schema_version":2', '"schema_version":3'))
     with pytest.raises(NewerSchemaError, match="newer version"):
         run(folder, Inline())
 

@@ -121,7 +121,7 @@ def test_all_contents_round_trip(store: Store) -> None:
     save_volume(store, "v1", volume, meta={"name": "mine"})
     save_mesh(store, "m1", MANY, {"facts": {"gsf": -math.inf}})
     save_field(store, "e1", field)
-    save_evaluation(store, "e1", {"status": "done", "score": {"gsf": -math.inf}})
+    save_evaluation(store, "e1", {"digest": "e1", "status": "done", "score": {"gsf": -math.inf}})
     assert list_volumes(store) == ["v1"]
     assert same_bits(load_volume(store, "v1").values, volume.values)
     assert volume_meta(store, "v1")["name"] == "mine"
@@ -269,7 +269,7 @@ def test_killed_writer_leaves_nothing_readable(store: Store) -> None:
 def test_entries_are_listed_moved_and_removed(store: Store) -> None:
     for name in ("b", "a"):
         save_field(store, name, np.ones((50, 3)))
-    save_evaluation(store, "a", {"status": "diverged"})
+    save_evaluation(store, "a", {"digest": "a", "status": "diverged"})
     assert groups(store) == ["a.zarr", "b.zarr"]
     field = store.layout.field("a")
     assert store.backend.size_bytes(field) > 100
@@ -286,7 +286,7 @@ def test_entries_are_listed_moved_and_removed(store: Store) -> None:
 def test_damaged_entries_are_found_and_set_aside(store: Store) -> None:
     for name in ("a", "b", "c"):
         save_field(store, name, np.ones((4, 3)))
-        save_evaluation(store, name, {"status": "done"})
+        save_evaluation(store, name, {"digest": name, "status": "done"})
     (chunk,) = chunks(store, store.layout.field("a"))
     store.backend.write(chunk, b"x")
     store.backend.remove(store.layout.field("b"))
@@ -300,7 +300,7 @@ def test_damaged_entries_are_found_and_set_aside(store: Store) -> None:
 
 def test_copies_are_identical(store: Store, tmp_path: Path) -> None:
     save_mesh(store, "m", MANY, {"facts": {}})
-    save_evaluation(store, "e", {"status": "done"})
+    save_evaluation(store, "e", {"digest": "e", "status": "done"})
     other = open_store(tmp_path / "other")
     copy_entry(store.layout.mesh("m"), other.layout.mesh("m"))
     copy_entry(store.layout.evaluation("e"), other.layout.evaluation("e"))

@@ -15,7 +15,7 @@ def old(request, tmp_path, monkeypatch) -> Store:
     folder = request.param == "folder"
     place = str(tmp_path / "store") if folder else request.getfixturevalue("bucket") + "/store"
     store = open_store(place)
-    save_evaluation(store, "e", {"status": "done"})
+    save_evaluation(store, "e", {"digest": "e", "status": "done"})
     monkeypatch.setattr(stores, "SCHEMA_VERSION", 3)
     return store
 

@@ -132,6 +132,6 @@ def test_missing_field_is_named():
 
 def test_newer_record_requires_upgrade_even_if_it_looks_different():
     for record in (EvaluationRecord(**DONE), StudyRecord("a", {}, {})):
-        line = record.to_json() | {"schema_version": 2, "surprise": 1}
+        line = record.to_json() | {"schema_version": 3, "surprise": 1}
         with pytest.raises(NewerSchemaError, match="Upgrade"):
             record_of(line)

@@ -181,7 +181,8 @@ def test_evaluation_round_trips_with_infinities(store):
 
 
 def test_evaluation_may_contain_numpy_numbers_tuples_and_nan(store):
-    record = {"score": {"gsf": np.float64("inf")}, "outcome": {"n": (np.int64(3),), "r": math.nan}}
+    record = {"digest": "e", "score": {"gsf": np.float64("inf")}}
+    record |= {"outcome": {"n": (np.int64(3),), "r": math.nan}}
     save_evaluation(store, "e", record)
     read = load_evaluation(store, "e")
     assert read["score"]["gsf"] == math.inf

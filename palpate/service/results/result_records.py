@@ -489,6 +489,8 @@ class StudyResults:
         The identifiability of each constant; None until the search has stopped.
     unverified_records : int
         Number of journal records without a checksum, written by an earlier version.
+    unchained_records : int
+        Number of journal records that do not name the one before, written by an earlier version.
     lowest_score : EvaluationRecord or None
         The candidate with the lowest score, if it is not the best one.
     best_note : str
@@ -518,6 +520,7 @@ class StudyResults:
     findings: Mapping[str, Any] = field(default_factory=dict)
     identification: Identification | None = None
     unverified_records: int = 0
+    unchained_records: int = 0
     caveats: tuple[str, ...] = ()
     lowest_score: EvaluationRecord | None = None
     best_note: str = ""

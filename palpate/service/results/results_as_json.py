@@ -59,6 +59,7 @@ def study_json(results: StudyResults) -> dict[str, Any]:
         "target_kind": results.target_kind,
         "sessions": results.sessions,
         "unverified_records": results.unverified_records,
+        "unchained_records": results.unchained_records,
         "versions": results.versions,
         "store": results.store,
         "folder": str(results.folder),

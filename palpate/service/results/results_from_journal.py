@@ -35,6 +35,7 @@ from palpate.service.results.result_records import (
     StudyState,
 )
 from palpate.service.study.study_folder import (
+    FINDINGS_OF,
     RecordedGeneration,
     RecordedGenerations,
     StudyLog,
@@ -47,7 +48,7 @@ from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.best_candidate import best_of, best_searched, best_so_far, equally_good
 from palpate.storage.errors import InputError, JournalError, NewerSchemaError, StoreError
 from palpate.storage.journal import Journal
-from palpate.storage.journal_records import EvaluationRecord
+from palpate.storage.journal_records import EndRecord, EvaluationRecord
 from palpate.storage.json_digests import unseal
 from palpate.workers.common_keys import validated
 from palpate.workers.organs.organ_plugins import organ_spec
@@ -69,7 +70,7 @@ def study_results(folder: Path) -> StudyResults:
     study, log = read_study(folder)
     spec = validated(StudySpec, study.spec, f"The study in {folder}")
     ranked, session, end = best_so_far(log.endings.values()), log.last_session, log.end
-    best, findings = ranked.record, findings_of(folder)
+    best, findings = ranked.record, findings_of(folder, end)
     identification, posterior = _identification(spec, log, best, findings)
     endings = [record for _, record in sorted(log.endings.items())]
     return StudyResults(
@@ -94,6 +95,7 @@ def study_results(folder: Path) -> StudyResults:
         findings=findings,
         identification=identification,
         unverified_records=log.unverified,
+        unchained_records=log.unchained,
         caveats=(*log.caveats, *_priors_included(spec)),
         lowest_score=ranked.lowest_score,
         best_note=ranked.note,
@@ -143,13 +145,18 @@ def _no_such(what: str, folder: Path, why: str) -> InputError:
     return InputError(f"The study {folder} has no {what}: {why}.")
 
 
-def findings_of(folder: Path) -> Mapping[str, Any]:
+def findings_of(folder: Path, end: EndRecord | None = None) -> Mapping[str, Any]:
     """Return the findings about the fitted body; empty if none were stored.
+
+    Parameters
+    ----------
+    end : EndRecord, optional
+        The end of the study, which names the evaluation that the findings are about.
 
     Raises
     ------
     JournalError
-        If the file is damaged.
+        If the file is damaged or of another study.
     """
     path = StudyLayout(folder).findings
     if not path.is_file():
@@ -161,6 +168,13 @@ def findings_of(folder: Path) -> Mapping[str, Any]:
             f"{path} is damaged: {error}. Remove it: the rest of the study can then be read "
             "without the findings."
         ) from error
+    about = findings.pop(FINDINGS_OF, None)  # findings of earlier versions do not name it
+    if end is not None and about not in (None, end.volume):
+        raise JournalError(
+            f"{path} is of another study: it is about the evaluation {about}, but the best one of "
+            f"this study is {end.volume}. Put the right file there, or remove it: the rest of the "
+            "study can then be read without the findings."
+        )
     return findings
 
 
@@ -313,11 +327,14 @@ class RecordCheck:
     damages : list of Damage
     unverified : int
         Journal lines without checksums, written by an earlier version.
+    unchained : int
+        Journal lines that do not name the line before, written by an earlier version.
     """
 
     studies: int
     damages: "list[Damage]"
     unverified: int
+    unchained: int
 
 
 def check_records(folders: Iterable[Path]) -> RecordCheck:
@@ -330,19 +347,22 @@ def check_records(folders: Iterable[Path]) -> RecordCheck:
     """
     from palpate.storage.upkeep import Damage  # loads Zarr, which reading a journal does without
 
-    studies = unverified = 0
+    studies = unverified = unchained = 0
     damages = []
     for folder in folders:
         studies += 1
-        layout = StudyLayout(folder)
+        layout, end = StudyLayout(folder), None
         try:
-            unverified += StudyLog.read(layout.journal).unverified
+            log = StudyLog.read(layout.journal)
+            end = log.end
+            unverified += log.unverified
+            unchained += log.unchained
         except NewerSchemaError:
             raise
         except StoreError as error:
             damages.append(Damage(layout.journal, str(error)))
         try:
-            findings_of(folder)
+            findings_of(folder, end)
         except StoreError as error:
             damages.append(Damage(layout.findings, str(error)))
-    return RecordCheck(studies, damages, unverified)
+    return RecordCheck(studies, damages, unverified, unchained)

@@ -9,9 +9,9 @@ from typing import Any
 from palpate.service.study.study_progress import Pace
 from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.best_candidate import BestSoFar
+from palpate.storage.chained_lines import LineChain, line_before
 from palpate.storage.errors import InputError, JournalError
 from palpate.storage.journal_records import EvaluationRecord
-from palpate.storage.json_digests import unseal
 
 READ_BYTES = 256 * 1024
 
@@ -49,10 +49,12 @@ class JournalTail:
 
     def __init__(self, path: Path, offset: int = 0) -> None:
         self.path, self.offset = path, offset
-        if offset and not self._begins_line():
+        last = self._line_before() if offset else b""
+        if offset and not last:
             raise InputError(
                 f"No record begins at byte {offset} of this journal: start again from 0."
             )
+        self._chain = LineChain(last)
 
     def read(self, most_bytes: int = READ_BYTES) -> list[JournalLine]:
         """Return complete unread records, if any.
@@ -80,7 +82,7 @@ class JournalTail:
 
     def _parsed(self, line: bytes) -> dict[str, Any]:
         try:
-            record, _ = unseal(line)
+            record, _ = self._chain.read(line)
         except ValueError as error:
             raise JournalError(
                 f"{self.path} is damaged after byte {self.offset}: {error}. "
@@ -88,13 +90,12 @@ class JournalTail:
             ) from error
         return record
 
-    def _begins_line(self) -> bool:
+    def _line_before(self) -> bytes:
         try:
             with self.path.open("rb") as file:
-                file.seek(self.offset - 1)
-                return file.read(1) == b"\n"
+                return line_before(file.fileno(), self.offset)
         except (OSError, ValueError, OverflowError):
-            return False
+            return b""
 
 
 class JobProgress:

@@ -24,7 +24,7 @@ from palpate.service.study.candidate_evaluation import EvaluationRun, SteadyRun
 from palpate.service.study.preflight import require_plugins, used_plugins
 from palpate.service.study.search_replay import PendingGeneration, SearchReplay, replayed
 from palpate.service.study.study_events import Hooks, Observer, StudyFacts
-from palpate.service.study.study_folder import StudyFolder, StudyLog
+from palpate.service.study.study_folder import FINDINGS_OF, StudyFolder, StudyLog
 from palpate.service.study.study_keys import StudySpec
 from palpate.service.study.task_requests import StudyWork, Tasks
 from palpate.storage.backends.atomic_files import write_file
@@ -262,7 +262,7 @@ class _Run:
         """Return the reason to propose no further candidates; None to continue."""
         stop = self.spec.search.stop
         if stop is not None and stop.hours is not None:
-            ran_s = sum(self.log.session_seconds) + self._elapsed_s()
+            ran_s = self.log.wall_s(self.journal.last_written) + self._elapsed_s()
             if ran_s >= 3600 * stop.hours:
                 return f"the time limit search.stop.hours ({stop.hours:g} h) has been reached"
         return self.hooks.stop_reason
@@ -306,6 +306,7 @@ class _Run:
                 workers,
                 self._elapsed_s(),
                 list(self.study.caveats) or None,
+                self.log.last_run_s(self.journal.last_written),
             )
         )
         target_name = target["target"]
@@ -321,7 +322,7 @@ class _Run:
         resolution = work.resolution(best.level)
         before = work.compare_with_target(resolution, resolution.body["volume"])
         after = work.compare_with_target(resolution, best.digest)
-        findings = evaluation.findings(best.candidate)
+        findings = {**evaluation.findings(best.candidate), FINDINGS_OF: best.digest}
         write_file(self.study.folder.layout.findings, seal(dumps(to_plain(findings))).encode())
         reason, elapsed_s = stopped.reason, self._elapsed_s()
         return EndRecord(reason, best.candidate, best.digest, before, after, elapsed_s)

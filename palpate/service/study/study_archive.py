@@ -90,6 +90,8 @@ def export_study(folder: Path, archive: Path) -> Archived:
     store = open_store(log.last_session.store, create=False)
     name = str(study.spec["name"])
     manifest = {"schema_version": SCHEMA_VERSION, "study": name, "versions": versions()}
+    written = datetime.fromtimestamp(StudyLayout(folder).journal.stat().st_mtime, UTC)
+    manifest["last_run_s"] = log.last_run_s(written)
     with explained(archive), _scratch_beside(archive) as scratch:
         members = list(_members(folder, store, scratch))
         hashes = {member: _sha256(path) for member, path in members}
@@ -131,7 +133,7 @@ def import_study(archive: Path, folder: Path, location: Location) -> Archived:
                 unpacked.mkdir()
                 places = {"study": unpacked, "store": parts}
                 size = _unpack(tar, manifest["sha256"], places, archive)
-                _say_where_the_store_is(unpacked, store)
+                _say_where_the_store_is(unpacked, store, manifest.get("last_run_s"))
                 _publish_store(parts, store)
     return Archived(str(manifest["study"]), len(manifest["sha256"]), size)
 
@@ -200,6 +202,8 @@ def _manifest(tar: tarfile.TarFile, archive: Path) -> dict[str, Any]:
             raise ValueError("it contains files that do not belong to a study")
         if not re.fullmatch(_PART, manifest["study"]):
             raise ValueError("it does not name a study")
+        if not isinstance(manifest.get("last_run_s"), float | int | None):
+            raise ValueError("it does not say how long its study ran")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise _damaged(archive, str(error)) from error
     return manifest
@@ -241,13 +245,19 @@ def _unpack(
     return size
 
 
-def _say_where_the_store_is(folder: Path, store: Store) -> None:
+def _say_where_the_store_is(folder: Path, store: Store, last_run_s: float | None) -> None:
     """Add a session to the journal: readers of the study find its store there."""
     log = StudyLog.read(StudyLayout(folder).journal)
     if log.last_session is None:
         raise StoreError("The study in the archive has never run.")
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    moved = replace(log.last_session, began=now, store=str(store.root), seconds=0.0)
+    moved = replace(
+        log.last_session,
+        began=now,
+        store=str(store.root),
+        seconds=0.0,
+        previous_run_s=None if last_run_s is None else float(last_run_s),
+    )
     with Journal(StudyLayout(folder).journal) as journal:
         journal.append(moved.to_json())
 

@@ -19,6 +19,7 @@ from palpate.service.study.study_keys import StudySpec, differences
 from palpate.storage.backends.atomic_files import explained, write_file
 from palpate.storage.backends.store_paths import Place, StudyLayout, place_of
 from palpate.storage.best_candidate import score_of
+from palpate.storage.chained_lines import Seal
 from palpate.storage.errors import InputError, JournalError
 from palpate.storage.journal import Journal
 from palpate.storage.journal_records import (
@@ -33,6 +34,9 @@ from palpate.storage.journal_records import (
 )
 from palpate.storage.values import PreparedBody, PreparedTarget
 from palpate.workers.input_files import dump_yaml
+
+FINDINGS_OF = "evaluation"
+"""Key of `findings.json` that names the evaluation which the findings are about."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +56,16 @@ class StudyLog:
     identification : IdentificationRecord or None
         The identifiability of the constants, once it is known.
     session_seconds : tuple of float
-        Wall time of each run up to its last complete generation.
+        Wall time of each run up to its last sign; of the last run up to its last complete
+        generation.
     proposals : mapping of int to ProposalRecord
         By generation number; empty for a search without generations, and for journals of
         versions that did not record proposals.
     unverified : int
         Number of records without a checksum, written by an earlier version.
+    unchained : int
+        Number of records that do not name the one before, written by an earlier version: those
+        without a checksum, and some with one.
     """
 
     study: StudyRecord | None = None
@@ -68,6 +76,7 @@ class StudyLog:
     session_seconds: tuple[float, ...] = ()
     proposals: Mapping[int, ProposalRecord] = field(default_factory=dict)
     unverified: int = 0
+    unchained: int = 0
 
     @classmethod
     def read(cls, journal: Path) -> Self:
@@ -87,13 +96,16 @@ class StudyLog:
         endings: dict[int, EvaluationRecord] = {}
         session_seconds: list[float] = []
         proposals: dict[int, ProposalRecord] = {}
-        unverified = 0
-        for line, verified in Journal.lines(journal):
+        unverified = unchained = 0
+        for line, protection in Journal.lines(journal):
             record = record_of(line)
-            unverified += not verified
+            unverified += protection is Seal.NONE
+            unchained += protection is not Seal.CHAIN
             if isinstance(record, StudyRecord):
                 study = record
             elif isinstance(record, SessionRecord):
+                if session_seconds and record.previous_run_s is not None:
+                    session_seconds[-1] = max(session_seconds[-1], record.previous_run_s)
                 sessions.append(record)
                 session_seconds.append(record.seconds)
             elif isinstance(record, EvaluationRecord):
@@ -123,6 +135,7 @@ class StudyLog:
             session_seconds=tuple(session_seconds),
             proposals=proposals,
             unverified=unverified,
+            unchained=unchained,
         )
 
     def wall_s(self, until: datetime) -> float:
@@ -133,12 +146,24 @@ class StudyLog:
         until : datetime
             The end of the last run, if the run has not recorded it.
         """
-        noted = sum(self.session_seconds)
+        return sum(self.session_seconds[:-1]) + (self.last_run_s(until) or 0.0)
+
+    def last_run_s(self, until: datetime) -> float | None:
+        """Return the wall time of the last run; None if there was none.
+
+        Parameters
+        ----------
+        until : datetime
+            Its end, if the run has not recorded it.
+        """
         last = self.last_session
-        if last is None or self.end is not None:
+        if last is None:
+            return None
+        noted = self.session_seconds[-1]
+        began = last.began_at
+        if self.end is not None or began is None:
             return noted
-        since = (until - datetime.fromisoformat(last.began)).total_seconds()
-        return noted + max(0.0, last.seconds + since - self.session_seconds[-1])
+        return max(noted, last.seconds + (until - began).total_seconds())
 
     @property
     def last_session(self) -> SessionRecord | None:

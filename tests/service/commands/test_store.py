@@ -14,6 +14,8 @@ from palpate.service.study.study_archive import export_study, import_study
 from palpate.service.study.study_folder import StudyLog
 from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import StoreError
+from palpate.storage.journal import Journal
+from palpate.storage.json_digests import dumps, seal
 from palpate.storage.store import Store, open_store, save_evaluation
 from palpate.storage.stored_arrays import has_field, has_volume, save_field, save_volume
 from palpate.storage.values import Volume
@@ -36,6 +38,43 @@ def study(tmp_path: Path) -> Path:
     for name in (session.prepared["volume"], session.target["target"]):
         save_volume(store, name, small_volume(1))
     return folder
+
+
+def test_exchanged_entries_and_edited_journals_end_the_check(call: Call, study: Path) -> None:
+    store = store_of(study)
+    one, other = sorted(store.layout.fields.iterdir())[:2]
+    aside = one.with_name("aside")
+    for place, target in ((one, aside), (other, one), (aside, other)):
+        place.rename(target)
+    journal = StudyLayout(study).journal
+    lines = journal.read_bytes().splitlines(keepends=True)
+    journal.write_bytes(b"".join(lines[:5] + lines[6:]))
+    code, out, err = call("store", "check")
+    assert code == 2
+    assert "all is well" not in out
+    assert f"{one} is damaged: it was written as fields/{other.stem}, so entries of" in err
+    assert f"{other} is damaged: it was written as fields/{one.stem}, so entries of" in err
+    assert (
+        "runs/demo/journal.jsonl, line 6: it does not follow the line before it: lines were removed"
+        in err
+    )
+
+
+def test_check_counts_what_was_written_before_seals_covered_it(call: Call, study: Path) -> None:
+    description = next(store_of(study).layout.fields.iterdir()) / "zarr.json"
+    text = json.loads(description.read_text())
+    del text["attributes"]["name"], text["attributes"]["name_checksum"]
+    description.write_text(json.dumps(text))
+    journal = StudyLayout(study).journal
+    records = list(Journal.read(journal))
+    journal.write_text("".join(seal(dumps(record)) + "\n" for record in records))
+    code, out, _ = call("store", "check")
+    assert code == 0
+    assert f"{len(records)} lines of journals were written before chained seals" in out
+    assert "1 entries were written before their names were sealed" in out
+    found = json.loads(call("store", "check", "--json")[1])
+    assert found["unchained_journal_lines"] == len(records)
+    assert found["entries_without_sealed_names"] == 1
 
 
 def small_volume(label: int) -> Volume:

@@ -166,6 +166,7 @@ STUDY_KEYS: dict[str, list[str] | None] = {
     "target_kind": None,
     "sessions": None,
     "unverified_records": None,
+    "unchained_records": None,
     "versions": None,
     "store": None,
     "folder": None,

@@ -85,6 +85,8 @@ def _check_json(
         "damaged": [{"path": str(d.path), "reason": d.reason} for d in damages],
         "half_written": [str(path) for path in found.leftovers],
         "unverified_journal_lines": records.unverified,
+        "unchained_journal_lines": records.unchained,
+        "entries_without_sealed_names": found.unnamed,
         "set_aside": None if aside is None else str(aside),
     }
 
@@ -100,6 +102,16 @@ def _print_check(
         typer.echo(
             f"{records.unverified} lines of journals were written before checksums were "
             "introduced and cannot be verified"
+        )
+    if unchained := records.unchained - records.unverified:
+        typer.echo(
+            f"{unchained} lines of journals were written before chained seals: a line taken out of "
+            "them is not noticed"
+        )
+    if found.unnamed:
+        typer.echo(
+            f"{found.unnamed} entries were written before their names were sealed: an exchange of "
+            "two of them is not noticed"
         )
     if aside is not None:
         typer.echo(f"set aside in {aside}: {len(found.damages)}. Run the studies again.")

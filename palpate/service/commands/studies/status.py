@@ -53,12 +53,19 @@ def _rows(results: StudyResults) -> list[tuple[str, str]]:
     rows.append(("time", time if results.sessions else "body and target are being prepared"))
     if results.unverified_records:
         rows.append(("records", unverified_text(results.unverified_records)))
+    if unchained := results.unchained_records - results.unverified_records:
+        rows.append(("records", unchained_text(unchained)))
     return rows
 
 
 def unverified_text(records: int) -> str:
     """Return a note on the records of a journal without a checksum."""
     return f"{records} without a checksum, written by an earlier version: they cannot be verified"
+
+
+def unchained_text(records: int) -> str:
+    """Return a note on the records of a journal that do not name the one before."""
+    return f"{records} written before chained seals: a record taken out is not noticed"
 
 
 def _generations_text(results: StudyResults) -> str:

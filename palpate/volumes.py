@@ -120,7 +120,7 @@ def write_volume(
     volume : Volume
     names : mapping of int to str, optional
         Names of its labels, such as ``{1: "Fat", 2: "Glandular"}``, for 3D Slicer and
-        `palpate import`.
+        `palpate import`. Without them, a study of the file needs `labels`.
 
     Raises
     ------

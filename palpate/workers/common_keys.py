@@ -289,6 +289,11 @@ class TargetSpec(Door):
         """Whether an image is first aligned with the undeformed body."""
         return False
 
+    @property
+    def understood(self) -> list[tuple[str, str]]:
+        """How the image of the deformed body is read, as names and texts."""
+        return []
+
 
 class ScoreSpec(Door):
     """Compared parts, and the search's objective: the base of every organ's score.

@@ -14,7 +14,7 @@ from palpate.workers.comparison.similarity_score import Scorer
 
 def study_in(folder: Path) -> palpate.Study:
     file = folder / "body.nrrd"
-    palpate.write_volume(file, small_breast())
+    palpate.write_volume(file, small_breast(), {1: "Fat", 2: "Glandular"})
     spec: dict[str, Any] = {
         "name": "small",
         "case": {

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from palpate.service.cli import app
-from palpate.service.export import export_volume
+from palpate.service.export import TISSUE_NAMES, export_volume
 from palpate.storage.errors import InputError
 from palpate.storage.values import Volume
 from palpate.workers.body.mesh.mesh_hierarchy import mesh_whole_body
@@ -250,7 +250,7 @@ def write(path: Path, volume: Volume) -> None:
     """Write fat and gland only."""
     path.unlink(missing_ok=True)
     values = np.where(volume.values == 2, 2, np.minimum(volume.values, 1)).astype(np.uint8)
-    export_volume(path, replace(volume, values=values))
+    export_volume(path, replace(volume, values=values), TISSUE_NAMES)
 
 
 def palpate(*words: str) -> Any:
@@ -377,3 +377,74 @@ def with_axes(volume: Volume, order: tuple[int, int, int]) -> Volume:
     (u, v, w) = (volume.spacing_mm[::-1][k] for k in order)
     values = np.ascontiguousarray(volume.values.transpose(order))
     return replace(volume, values=values, origin_mm=(c, b, a), spacing_mm=(w, v, u))
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.1, 4.45, 10.0])
+def test_a_force_that_contradicts_the_thickness_is_refused(factor: float) -> None:
+    text = texts(findings(*usual_pair(), {"force_n": 60 * factor}))
+    verb = "cannot press 100.0 mm to 56.0 mm" if factor < 1 else "would press 100.0 mm to about"
+    assert f"case.load.force_n: {60 * factor:g} N {verb}" in text
+    assert ("at E >= 5 kPa" if factor < 1 else "at E <= 80 kPa") in text
+
+
+ENDS = (
+    {"E_fat_kpa": 5.0, "E_glandular_kpa": 5.0, "eta_fat_kpa": 50.0, "eta_glandular_kpa": 50.0},
+    {"E_fat_kpa": 20.0, "E_glandular_kpa": 80.0, "eta_fat_kpa": 200.0, "eta_glandular_kpa": 200.0},
+)
+
+
+@pytest.mark.parametrize("constants", ENDS, ids=["softest", "stiffest"])
+@pytest.mark.parametrize("force_n", [10, 120])
+def test_a_right_force_passes_at_both_ends_of_the_search(
+    constants: dict[str, float], force_n: float
+) -> None:
+    rest, load = at_rest(), {"force_n": force_n}
+    fibres = {name: value for name, value in constants.items() if name.startswith("eta")}
+    assert findings(rest, pressed(rest, load, constants), load, constants=fibres) == []
+
+
+def without_end(volume: Volume, axis: str, mm: float) -> Volume:
+    """Cut an image inside its body, at the high end of an axis."""
+    number = "zyx".index(axis)
+    others = tuple(n for n in range(3) if n != number)
+    last = int(np.flatnonzero(volume.values.any(axis=others))[-1])
+    kept = last + 1 - round(mm / volume.spacing_mm[2 - number])
+    return replace(volume, values=np.take(volume.values, range(kept), axis=number))
+
+
+def test_a_pair_of_which_one_scan_is_cut_off_is_refused() -> None:
+    rest, scan = usual_pair()
+    text = texts(findings(without_end(rest, "x", 16), scan))
+    assert "rest.nrrd is cut off by the border of its image, with 10.5 cm2" in text
+    assert "on its face at high x, but the one in pressed.nrrd is whole there" in text
+    assert "pressed.nrrd is cut off" in texts(findings(rest, without_end(scan, "x", 16)))
+    assert "rest.nrrd is cut off" in texts(findings(without_end(rest, "z", 8), scan))
+
+
+def test_a_pair_cut_off_alike_gives_warnings() -> None:
+    rest, scan = (without_end(volume, "x", 16) for volume in usual_pair())
+    found = findings(rest, scan)
+    assert texts(found) == ""
+    assert "The body in rest.nrrd reaches the border of its image" in texts(found, "warning")
+
+
+def test_a_body_that_ends_at_the_border_is_not_cut_off() -> None:
+    rest, scan = (without_end(volume, "x", 0) for volume in usual_pair())
+    assert findings(rest, scan) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "said_of_it"),
+    [
+        (("import", "rest.nrrd", "--name", "rest"), 0, "reaches the border of its image"),
+        (("run", "study.yaml"), 1, "rest.nrrd is cut off by the border"),
+        (("diagnose", "case.yaml"), 1, "rest.nrrd is cut off by the border"),
+    ],
+)
+def test_every_command_names_a_cut(
+    here: Path, command: tuple[str, ...], code: int, said_of_it: str
+) -> None:
+    write(here / "rest.nrrd", without_end(usual_pair()[0], "x", 16))
+    result = palpate(*command)
+    assert result.exit_code == code
+    assert said_of_it in said(result)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from palpate.service.export import export_volume
+from palpate.service.export import TISSUE_NAMES, export_volume
 from palpate.service.study.study_keys import StudySpec
 from palpate.service.templates import template
 from palpate.storage.values import Tissue, Volume
@@ -178,7 +178,7 @@ def case_on_disk(
 ) -> ScannedCase:
     for name, labels in (("rest", rest), ("pressed", pressed)):
         (folder / f"{name}.nrrd").unlink(missing_ok=True)
-        export_volume(folder / f"{name}.nrrd", labels)
+        export_volume(folder / f"{name}.nrrd", labels, TISSUE_NAMES)
     data = filled("diagnosis", required("diagnosis", FORCE_N) | stated)
     (folder / "case.yaml").write_text(yaml.safe_dump(data))
     return read_case(folder)

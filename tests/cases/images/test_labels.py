@@ -1,4 +1,4 @@
-"""Conversion of labels to tissues: by name, and by Palpate's numbers only without names."""
+"""Conversion of labels to tissues: by name, and by number only as stated."""
 
 import json
 from collections.abc import Callable
@@ -21,7 +21,7 @@ from palpate.workers.body.images.image_formats import read_volume_file
 from palpate.workers.body.images.named_labels import read_label_file, read_tissues
 from palpate.workers.body.images.scan_orientation import whole_numbers
 from palpate.workers.body.images.tissue_labels import crop_to_body, tissue_in
-from palpate.workers.organs.breast.breast_keys import BreastCase
+from palpate.workers.organs.breast.breast_keys import BreastCase, BreastTarget
 from palpate.workers.organs.breast.breast_organ import ORGAN
 from palpate.workers.organs.breast.scanned_case_files import CaseImages, no_store
 from palpate.workers.organs.breast.scanned_case_keys import CaseScans
@@ -327,7 +327,8 @@ class TestCases:
     def test_axes_turn_all_scans(self, tmp_path: Path) -> None:
         values = np.minimum(tissues(), 2)
         write_nrrd(tmp_path / "a.nrrd", values)
-        turned = self.images(tmp_path, axes="L S A")("a.nrrd")
+        labels = {0: "air", 1: "fat", 2: "glandular"}
+        turned = self.images(tmp_path, axes="L S A", labels=labels)("a.nrrd")
         expected = read_volume_file(tmp_path / "a.nrrd", axes="x,z,-y")
         np.testing.assert_array_equal(turned.values, expected.values)
 
@@ -343,6 +344,48 @@ class TestCases:
             self.images(tmp_path, volumes_of(tmp_path / "store"))("other")
         with pytest.raises(InputError, match="spacing and axes are known"):
             self.images(tmp_path, volumes_of(tmp_path / "store"), axes="L S A")("rest")
+
+
+class TestNumbersWithoutNames:
+    def test_are_never_guessed_in_a_study_or_an_import(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        write_nrrd(tmp_path / "a.nrrd", np.minimum(tissues(), 2))
+        with pytest.raises(InputError) as refusal:
+            read_tissues(tmp_path / "a.nrrd")
+        text = str(refusal.value)
+        assert "labels: {0: air, 1: ?, 2: ?}" in text
+        inside = int((tissues() == 1).sum()) * 0.008
+        assert f"1: {inside:.3g} ml, 0% of the body's surface, x -44 to -30" in text
+        assert "100% of the body's surface" in text
+        assert main(["import", "a.nrrd", "--name", "a"]) == 2
+        assert "--labels '0=air,1=?,2=?'" in capsys.readouterr().err
+        assert not Path("runs").exists()
+
+    def test_are_never_guessed_in_a_diagnosis(self, tmp_path: Path) -> None:
+        write_nrrd(tmp_path / "a.nrrd", np.minimum(tissues(), 2))
+        images = TestCases().images
+        with pytest.raises(InputError, match=r"labels: \{0: air, 1: \?, 2: \?\}"):
+            images(tmp_path)("a.nrrd")
+        stated = images(tmp_path, labels={0: "air", 1: "glandular", 2: "fat"})("a.nrrd")
+        np.testing.assert_array_equal(stated.values, np.array([0, 2, 1])[np.minimum(tissues(), 2)])
+
+    def test_many_numbers_are_counted(self, tmp_path: Path) -> None:
+        write_nrrd(tmp_path / "a.nrrd", np.arange(1000, dtype=np.int16).reshape(10, 10, 10))
+        with pytest.raises(InputError, match="and 992 more labels"):
+            read_tissues(tmp_path / "a.nrrd")
+
+    def test_a_study_shows_the_labels_of_both_scans(self) -> None:
+        numbers = {0: "air", 1: "glandular", 2: "fat"}
+        reference = {"volume": "in/rest.nii", "labels": numbers}
+        case = BreastCase.model_validate({"reference": reference, "load": {"force_n": 1}})
+        shown = dict(case.understood([]))
+        assert shown["labels at rest"] == "rest.nii: 0 air, 1 glandular, 2 fat"
+        target = BreastTarget.model_validate({"volume": "in/pressed.seg.nrrd"})
+        assert dict(target.understood) == {
+            "labels under load": "pressed.seg.nrrd: by the names in the file"
+        }
 
 
 class TestValues:

@@ -32,6 +32,7 @@ from tests.cases.images.image_cases import (
     write_series,
 )
 
+LABELS = ("--labels", "0=air,1=fat,2=glandular,3=skin,5=ligament")
 TWO = np.diag([2.0, 2.0, 2.0, 1.0])
 PLACED = TWO.copy()
 PLACED[:3, 3] = [50.0, -10.0, 20.0]
@@ -349,7 +350,7 @@ class TestImport:
         Path("stack").mkdir()
         for z, page in enumerate(tissues()):
             tifffile.imwrite(f"stack/z_{0.5 * z}.tif", page)
-        options = ["--name", "a", "--spacing-mm", "2", "2", "2", "--anyway"]
+        options = ["--name", "a", "--spacing-mm", "2", "2", "2", "--anyway", *LABELS]
         assert main(["import", "stack", *options]) == 0
         out = capsys.readouterr().out
         assert "from z_0.0.tif to z_4.5.tif" in out
@@ -358,7 +359,7 @@ class TestImport:
 
     def test_prints_the_frame_and_the_directions(self, capsys: pytest.CaptureFixture[str]) -> None:
         write_series(Path("s"), tissues(), FrameOfReferenceUID=FRAME, SliceThickness=5)
-        options = ["--name", "a", "--axes", "L S A", "--picture", "a.png", "--anyway"]
+        options = ["--name", "a", "--axes", "L S A", "--picture", "a.png", "--anyway", *LABELS]
         assert main(["import", "s", *options]) == 0
         out, err = capsys.readouterr()
         assert "Remark: Slices are 2 mm apart according to their positions" in err
@@ -369,7 +370,7 @@ class TestImport:
     def test_replaces_a_name_only_when_asked(self, capsys: pytest.CaptureFixture[str]) -> None:
         np.save("first.npy", tissues())
         np.save("second.npy", tissues()[:, :, ::-1])
-        options = ["--name", "a", "--spacing-mm", "2", "2", "2", "--anyway"]
+        options = ["--name", "a", "--spacing-mm", "2", "2", "2", "--anyway", *LABELS]
         assert main(["import", "first.npy", *options]) == 0
         assert main(["import", "second.npy", *options]) == 2
         assert "another volume named a, read from first.npy" in capsys.readouterr().err

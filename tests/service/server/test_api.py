@@ -194,7 +194,8 @@ def test_images_of_a_study_are_uploaded_and_needed_until_it_ends(
     body = np.ones((20, 20, 20), np.uint8)
     body[5:12, 5:15, 5:15] = 2
     np.save(image, body)
-    case = "case: {reference: {volume: scan.npy, spacing_mm: 3}, mesh: {nodes: 2000}}"
+    image_keys = "volume: scan.npy, spacing_mm: 3, labels: {1: fat, 2: glandular}"
+    case = f"case: {{reference: {{{image_keys}}}, mesh: {{nodes: 2000}}}}"
     text = named("imaged").replace(
         "case: {reference: {phantom: {preset: 445ml}}, mesh: {nodes: 2000}}", case
     )

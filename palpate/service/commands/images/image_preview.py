@@ -98,11 +98,10 @@ def _extents(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, st
 
 
 def _understood(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the tissue assigned to each named label of the file."""
+    """Return the tissue assigned to each label of the file, with its name if it has one."""
     names, tissues = summary.get("label_names") or {}, summary.get("label_tissues") or {}
-    if not names:
-        return []
-    return [(f"label {k}", f"{names[k]}: {tissue}") for k, tissue in tissues.items() if k in names]
+    named = {k: f"{names[k]}: {t}" if k in names else t for k, t in tissues.items()}
+    return [(f"label {k}", text) for k, text in named.items() if k in names or int(k)]
 
 
 def doubt(volume: Volume, letters: tuple[str, str, str] | None = None) -> str:

@@ -49,7 +49,8 @@ def print_understood(source: Path) -> None:
 
 def print_understood_study(spec: StudySpec, console: Console) -> None:
     """Print the physics of a study, including defaults."""
-    rows = spec.case.understood([parameter["name"] for parameter in spec.free_parameters])
+    free = [parameter["name"] for parameter in spec.free_parameters]
+    rows = [*spec.case.understood(free), *spec.target.understood]
     if rows:
         print_table(console, None, rows, title="Understood:")
 

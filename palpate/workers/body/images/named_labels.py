@@ -19,9 +19,9 @@ from typing import Any
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Triple, Volume
 from palpate.workers.body.images.image_formats import LabelImage, read_labels
+from palpate.workers.body.images.numbered_labels import refuse_numbers
 from palpate.workers.body.images.tissue_labels import (
     crop_to_body,
-    default_map,
     label_counts,
     relabel,
     tissue_in,
@@ -157,20 +157,20 @@ def read_tissues(
 def label_tissues(image: LabelImage, stated: LabelMap | str | None) -> dict[int, Tissue]:
     """Return the tissue of every label in an image.
 
-    Label numbers are never taken as numbers of `Tissue` if the file has names.
+    A number alone has no meaning, not even that of `Tissue`.
 
     Parameters
     ----------
     image : LabelImage
     stated : mapping, str or None
         Tissues by number or name of a label, or the path of a file with names of labels. None:
-        use the names in the image, or, without any, the numbers of `Tissue`.
+        use the names in the image.
 
     Raises
     ------
     InputError
-        If the names in the image and the given numbers disagree, a name is unknown, a
-        label has no tissue, or a needed tissue is missing.
+        If the image has no names and none are given, the names in the image and the given numbers
+        disagree, a name is unknown, a label has no tissue, or a needed tissue is missing.
     """
     names = dict(image.names)
     if isinstance(stated, str):
@@ -212,8 +212,8 @@ def _named_by_file(image: LabelImage, path: Path) -> dict[int, str]:
 
 def _by_number(image: LabelImage, stated: LabelMap | None) -> dict[int, Tissue]:
     """Return the tissues of an image without label names."""
-    if stated is None:
-        return default_map(image.volume, image.where)
+    if not stated:
+        refuse_numbers(image)
     words = [key for key in stated if isinstance(key, str)]
     if words:
         raise InputError(

@@ -5,6 +5,7 @@ law.
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BaseModel, BeforeValidator, Field, StringConstraints, model_validator
@@ -122,7 +123,7 @@ class ImageSpec(Door):
     ----------
     labels
         Tissue of each label: ``{1: fat, 2: glandular}``, by number or by segment name; or a file
-        of label names. Default: the names in the image.
+        of label names. Default: the names in the image; required if it has none.
     spacing_mm
         Size of a voxel along x, y and z, in mm, for formats that do not state it.
     axes
@@ -136,6 +137,16 @@ class ImageSpec(Door):
     labels: Labels = None
     spacing_mm: SpacingMm | None = None
     axes: Axes | None = None
+
+    @property
+    def labels_text(self) -> str:
+        """Return the meaning of the labels in words."""
+        named = self.labels
+        if isinstance(named, Mapping):
+            meaning = ", ".join(f"{label} {tissue}" for label, tissue in named.items())
+        else:
+            meaning = f"by the names in {'the file' if named is None else Path(named).name}"
+        return f"{Path(str(self.volume)).name}: {meaning}"
 
     def _refuse_image_keys(self, instead: str) -> None:
         given = [k for k in ("labels", "spacing_mm", "axes") if getattr(self, k) is not None]
@@ -374,6 +385,8 @@ class BreastCase(CaseSpec):
             ("skin", "as fat" if skin == "none" else f"{skin}, {model.skin_thickness_mm:g} mm"),
             ("plates", self.load.text),
         ]
+        if self.reference.phantom is None:
+            rows.append(("labels at rest", self.reference.labels_text))
         values, stated = self.complete(), self.vocabulary.from_door(self.constants)
         constants = (*BREAST, *model.law.constants)
         known = self.parameters
@@ -462,6 +475,11 @@ class BreastTarget(ImageSpec, TargetSpec):
     def is_aligned(self) -> bool:
         """See `TargetSpec.is_aligned`."""
         return self.align is not None
+
+    @property
+    def understood(self) -> list[tuple[str, str]]:
+        """See `TargetSpec.understood`: the labels."""
+        return [("labels under load", self.labels_text)] if self.is_image else []
 
 
 class BreastScore(ScoreSpec):

@@ -18,9 +18,10 @@ from palpate.workers.organs.breast.breast_keys import (
     BreastTarget,
     PhantomSpec,
 )
-from palpate.workers.organs.breast.breast_problem import compression_axis
+from palpate.workers.organs.breast.breast_problem import compression_axis, problem_of
 from palpate.workers.organs.breast.scan_alignment import study_load
-from palpate.workers.organs.breast.scan_facts import BreastFacts, Scan
+from palpate.workers.organs.breast.scan_border import check_cut
+from palpate.workers.organs.breast.scan_facts import BreastFacts, Scan, Tissues
 from palpate.workers.organs.breast.scan_plausibility import (
     check_empty_slices,
     check_pieces,
@@ -28,6 +29,9 @@ from palpate.workers.organs.breast.scan_plausibility import (
     findings_of,
 )
 from palpate.workers.organs.plausibility_rule import Finding
+
+# Plates of a problem of which only the constants are read.
+UNIT_EXTENT = (0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -67,9 +71,10 @@ class BreastChecks:
             yield from _missing(score, _tissues_of(phantom), "The phantom")
 
     def of_body(self, body: Volume, name: str) -> Iterator[Finding]:
-        """Check a single body, with warnings for pieces and gaps."""
+        """Check a single body, with warnings for pieces, gaps and cuts."""
         scan = Scan(name, None, compression_axis(0.0), body)
         yield from check_volume_range(scan)
+        yield from check_cut(scan)
         for check in (check_empty_slices, check_pieces):
             yield from (Finding("warning", finding.text) for finding in check(scan))
 
@@ -113,7 +118,18 @@ class BreastChecks:
             aligned=target is not None and target.is_aligned,
             swelling=0.0,
             rigid_is_refused=not self._has_effects(case),
+            softest=self._tissues(case, 0),
+            stiffest={} if case.model.skin != "none" else self._tissues(case, 1),
         )
+
+    def _tissues(self, case: BreastCase, end: int) -> Tissues:
+        """Return the constants of the tissues at the lower (0) or the upper (1) bounds."""
+        values = {
+            name: bounds[end]
+            for name, bounds in self.searched.items()
+            if name.startswith(("E_", "eta_")) or name in case.model.law.constants.names
+        }
+        return problem_of(case.model, case.load, case.complete(values), UNIT_EXTENT).constants
 
     def _bounds(self, case: BreastCase, name: str) -> Bounds:
         """Return the searched interval of a constant, or its value twice."""

@@ -4,7 +4,7 @@ Extents are along an axis perpendicular to z. `study_noise` is the default noise
 of label volumes, for studies and diagnoses.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,6 +14,7 @@ from scipy.ndimage import label
 
 from palpate.storage.values import BoolArray, FloatArray, Tissue, Triple, Volume
 from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise
+from palpate.workers.mechanics.fem.boundary_value_problem import Constants
 
 
 def unit_axis(axis: Triple) -> Triple:
@@ -50,6 +51,7 @@ def plate_frame(axis: Triple) -> FloatArray:
 # Maximum number of sampled voxels of a scan, to limit the time of the checks.
 ENOUGH_VOXELS = 400_000
 AXES = "xyz"
+Tissues = Mapping[Tissue, Constants]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +70,9 @@ class Scan:
         `Tissue` labels, above the chest wall.
     whole : Volume, optional
         Labels including the tissue below the chest wall.
+    cut_cm2 : mapping of str to float, optional
+        Section of the body on each face of its image that cuts it, if the labels no longer have
+        the border of the image; see `scan_border.cut_cm2`.
     """
 
     file: str
@@ -75,6 +80,7 @@ class Scan:
     axis: Triple
     labels: Volume
     whole: Volume | None = None
+    cut_cm2: Mapping[str, float] | None = None
 
     @cached_property
     def body(self) -> BoolArray:
@@ -232,6 +238,9 @@ class BreastFacts:
     rigid_is_refused : bool
         Whether a rigid motion between the scans contradicts the model; otherwise the model may
         cause it.
+    softest, stiffest : mapping of Tissue to Constants
+        Constants of fat and gland at the lower and at the upper bounds of the search. `stiffest`
+        is empty if more than the tissues resists, such as skin.
     """
 
     rest: Scan | None
@@ -243,6 +252,8 @@ class BreastFacts:
     aligned: bool
     swelling: float
     rigid_is_refused: bool
+    softest: Tissues
+    stiffest: Tissues
 
     @property
     def scans(self) -> list[Scan]:

@@ -16,6 +16,7 @@ from scipy.ndimage import binary_erosion
 from palpate.storage.values import FloatArray, Tissue, Triple
 from palpate.workers.body.images.tissue_labels import resample_labels
 from palpate.workers.organs.breast.scan_alignment import RigidMotion, motion_between
+from palpate.workers.organs.breast.scan_border import cut_text
 from palpate.workers.organs.breast.scan_facts import AXES, BreastFacts, PlateLoad, Scan, plate_frame
 from palpate.workers.organs.plausibility_rule import Finding
 
@@ -171,6 +172,8 @@ def check_volumes(facts: BreastFacts) -> Iterator[Finding]:
                 f"{rest.sides} in {rest.file} and {scan.sides} in {scan.file}. Write the spacing "
                 "in mm into its header."
             )
+        elif cut := cut_text(rest) or cut_text(scan):
+            cause = f"{cut} Export it with all of the breast and some air around it."
         else:
             scale = (1 + change) ** (1 / 3)
             cause = (

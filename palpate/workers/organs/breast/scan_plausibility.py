@@ -7,7 +7,9 @@ rest and one under load are checked as a pair in `scan_pair_checks`.
 from collections.abc import Callable, Iterator
 
 from palpate.workers.body.images.scan_orientation import end_areas_mm2
+from palpate.workers.organs.breast.scan_border import check_cuts
 from palpate.workers.organs.breast.scan_facts import BreastFacts, PlateLoad, Scan
+from palpate.workers.organs.breast.scan_force import check_pressed_thickness
 from palpate.workers.organs.breast.scan_pair_checks import (
     check_mirror_image,
     check_moved,
@@ -264,6 +266,7 @@ SCAN_CHECKS: tuple[tuple[Check, ...], ...] = (
     (check_places, check_thickness),
     (
         check_force,
+        check_pressed_thickness,
         check_distance,
         check_plates,
         check_moved,
@@ -272,7 +275,7 @@ SCAN_CHECKS: tuple[tuple[Check, ...], ...] = (
         check_mirror_image,
         check_order_of_loads,
     ),
-    (check_rigid_motion,),
+    (check_cuts, check_rigid_motion),
 )
 
 

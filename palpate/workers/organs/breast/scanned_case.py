@@ -4,7 +4,7 @@ Either the force on the plates or their distance is known. `acquisition_of` stat
 loads and noise; `aligned_case` moves the loaded scans rigidly onto the scan at rest.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -68,6 +68,9 @@ class ScannedCase:
         Path of the file, for messages.
     motions : sequence of str
         Descriptions of the motions that aligned the loaded scans; empty without alignment.
+    cut_cm2 : mapping of str to mapping, optional
+        Section of the body on each face of its image that cuts it, by the name of the image; see
+        `scan_border.cut_cm2`. The scans themselves are in air.
     """
 
     def __init__(
@@ -78,12 +81,14 @@ class ScannedCase:
         loaded: Sequence[Volume],
         where: str = "the case",
         motions: Sequence[str] = (),
+        cut_cm2: Mapping[str, Mapping[str, float]] | None = None,
     ) -> None:
         self.file = file
         self.reference = reference
         self.repeat = repeat
         self.where = where
         self.motions = tuple(motions)
+        self.cut_cm2 = cut_cm2 or {}
         self.loads = list(file.scans.loads)
         self.is_scanned = bool(loaded)
         self.deformed = list(loaded) if loaded else [reference] * len(self.loads)
@@ -184,7 +189,8 @@ class ScannedCase:
     @property
     def unloaded(self) -> "ScannedCase":
         """The same case without its loaded scans."""
-        return ScannedCase(self.file, self.reference, self.repeat, [], self.where)
+        cut = self.cut_cm2
+        return ScannedCase(self.file, self.reference, self.repeat, [], self.where, cut_cm2=cut)
 
 
 def stated_starts_mm(file: CaseFile, load: CaseLoad) -> tuple[float | None, float | None]:
@@ -264,7 +270,8 @@ def aligned_case(case: ScannedCase) -> ScannedCase:
         words.append(
             f"{load.volume} was aligned with {case.file.scans.reference}: moved by {motion.words}."
         )
-    return ScannedCase(case.file, case.reference, case.repeat, loaded, case.where, words)
+    repeat, cut = case.repeat, case.cut_cm2
+    return ScannedCase(case.file, case.reference, repeat, loaded, case.where, words, cut)
 
 
 def case_load(case: ScannedCase, number: int) -> PlateLoad:

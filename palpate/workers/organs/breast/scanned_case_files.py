@@ -22,17 +22,13 @@ from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.images.image_formats import LabelImage, read_labels
 from palpate.workers.body.images.named_labels import label_tissues
 from palpate.workers.body.images.segmented_body import in_air, one_body
-from palpate.workers.body.images.tissue_labels import (
-    crop_to_body,
-    label_counts,
-    relabel,
-    tissue_named,
-)
+from palpate.workers.body.images.tissue_labels import crop_to_body, label_counts, relabel
 from palpate.workers.common_keys import validated
 from palpate.workers.file_keys import SAME_FIBRES, with_current_names
 from palpate.workers.input_files import named_by, parse_json, parse_yaml, read_text
 from palpate.workers.mechanics.model_parameters import KPA, Unit
 from palpate.workers.organs.breast.breast_laws import law_text, wall_text
+from palpate.workers.organs.breast.scan_border import cut_cm2
 from palpate.workers.organs.breast.scan_facts import DRAWN_LENGTH_MM, DRAWN_VOXELS
 from palpate.workers.organs.breast.scanned_case import (
     ScannedCase,
@@ -45,7 +41,6 @@ from palpate.workers.organs.breast.scanned_case_source import PlannedCaseSource,
 
 StoredVolume = Callable[[str], Volume | None]
 """Returns a stored volume by its name."""
-USUAL = {0: "air", 1: "fat", 2: "glandular"}
 NEEDED = {Tissue.AIR, Tissue.FAT, Tissue.GLANDULAR}
 # Skin counts as fat unless the model includes it.
 COUNTED_AS = {Tissue.SKIN: Tissue.FAT}
@@ -116,19 +111,18 @@ class CaseImages:
         stated = self.scans.labels
         if isinstance(stated, str):
             return label_tissues(image, str(named_by(self.case, stated)))
-        if image.names:
-            return label_tissues(image, stated)
-        meanings = USUAL if stated is None else label_tissues(image, stated)
+        meanings = label_tissues(image, stated)
         counts = label_counts(image.volume)
         if not counts.keys() <= meanings.keys():
             raise InputError(self._missing(image))
-        return {label: tissue_named(meanings[label]) for label in counts}
+        return {label: meanings[label] for label in counts}
 
     def _missing(self, image: LabelImage) -> str:
         return (
-            f"{image.where} has the labels {sorted(label_counts(image.volume))}; a case needs 0 "
-            f"background, 1 fat and 2 glandular, or the labels given in {self.case.name}. "
-            "Relabel the scan, or segment the missing tissues."
+            f"{image.where} has the labels {sorted(label_counts(image.volume))}, and "
+            f"{self.case.name} has labels: {labels_in_words(self.scans.labels)}. A case needs a "
+            "tissue for each label, and air, fat and glandular tissue among them: complete "
+            "scans.labels, or segment the missing tissues."
         )
 
 
@@ -137,7 +131,7 @@ def labels_in_words(labels: Mapping[int | str, str] | Mapping[int, str] | str | 
     if isinstance(labels, str):
         return f"named by {labels}"
     if labels is None:
-        return f"by the names in the files, or {labels_in_words(USUAL)}"
+        return "by the names in the files"
     return ", ".join(f"{label} {tissue}" for label, tissue in labels.items())
 
 
@@ -256,13 +250,21 @@ def read_case(path: Path, *, loaded: bool = True, stored: StoredVolume = no_stor
     """
     path = case_file(path)
     file = read_case_file(path)
-    scans, tissues = file.scans, CaseImages(path, file.scans, stored).tissues
+    scans, images = file.scans, CaseImages(path, file.scans, stored)
+    cut: dict[str, Mapping[str, float]] = {}
+
+    def tissues(name: str) -> Volume:
+        image = images.tissues(name)
+        cut[name] = cut_cm2(_above(file, image))
+        return image
+
     case = ScannedCase(
         file,
         _scan(file, tissues(scans.reference)),
         _scan(file, tissues(scans.reference_repeat)) if scans.reference_repeat else None,
         [_one_body(tissues(load.volume)) for load in scans.loads] if loaded else [],
         str(path),
+        cut_cm2=cut,
     )
     return aligned_case(case) if loaded and scans.align is not None else case
 
@@ -325,8 +327,12 @@ def _scan(file: CaseFile, tissues: Volume) -> Volume:
     A loaded scan keeps the tissue below the wall: a wall that gives way lets tissue move there,
     and a cut would be mistaken for skin.
     """
+    return _one_body(_above(file, tissues))
+
+
+def _above(file: CaseFile, tissues: Volume) -> Volume:
     wall_mm = file.wall.z_mm
-    return _one_body(tissues if wall_mm is None else above_wall(tissues, wall_mm))
+    return tissues if wall_mm is None else above_wall(tissues, wall_mm)
 
 
 def _one_body(tissues: Volume) -> Volume:

@@ -278,7 +278,7 @@ class CaseScans(Door):
         ``rigid``: each loaded scan is first moved into the frame of the scan at rest. Default: it
         already is in that frame.
     labels
-        Tissue of each label of the scans; as in a study.
+        Tissue of each label of the scans; as in a study, required if the files do not name them.
     axes
         Axes of the scans in the frame of the body; as in a study.
     spacing_mm

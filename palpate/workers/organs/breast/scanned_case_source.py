@@ -28,10 +28,11 @@ from palpate.workers.diagnosis.problem.prepared_parts import Prepared, ReadPrepa
 from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis
 from palpate.workers.kernels_and_threads import Each
 from palpate.workers.mechanics.effects.effect import Effect
+from palpate.workers.mechanics.fem.boundary_value_problem import Frame
 from palpate.workers.mechanics.fem.discretisation import Model
 from palpate.workers.mechanics.fem.loads_and_regions import Pressed
 from palpate.workers.mechanics.model_parameters import KPA
-from palpate.workers.organs.breast.scan_facts import BreastFacts, Scan, unit_axis
+from palpate.workers.organs.breast.scan_facts import BreastFacts, Scan, Tissues, unit_axis
 from palpate.workers.organs.breast.scan_plausibility import findings_of
 from palpate.workers.organs.breast.scanned_case import ScannedCase, acquisition_of, case_load
 from palpate.workers.organs.breast.scanned_case_keys import ALONG_Y, CaseFile
@@ -76,12 +77,20 @@ def facts_of(case: ScannedCase) -> BreastFacts:
     loads = [case_load(case, number) for number in range(len(case.loads))]
     scanned = case.deformed if case.is_scanned else []
     scans = [
-        Scan(load.volume, load.force_n, unit_axis(load.axis), case.above_wall(labels), labels)
+        Scan(
+            load.volume,
+            load.force_n,
+            unit_axis(load.axis),
+            case.above_wall(labels),
+            labels,
+            case.cut_cm2.get(load.volume),
+        )
         for load, labels in zip(case.loads, scanned, strict=False)
     ]
     young = [KPA.to_inside(value) for value in _values(case.file, "E_fat_kpa")]
+    name, softest, stiffest = case.file.scans.reference, *_tissues_at_bounds(case)
     return BreastFacts(
-        rest=Scan(case.file.scans.reference, 0.0, ALONG_Y, case.reference),
+        rest=Scan(name, 0.0, ALONG_Y, case.reference, cut_cm2=case.cut_cm2.get(name)),
         pressed=list(zip(scans, loads, strict=False)),
         loads=loads,
         least_nu=case.file.nu,
@@ -90,7 +99,17 @@ def facts_of(case: ScannedCase) -> BreastFacts:
         aligned=case.file.scans.align is not None,
         swelling=SWELLING,
         rigid_is_refused=False,
+        softest=softest,
+        stiffest=stiffest,
     )
+
+
+def _tissues_at_bounds(case: ScannedCase) -> tuple[Tissues, Tissues]:
+    """Return the constants of the tissues at the lower and at the upper bounds."""
+    build, free = case.problem(0, Frame()), case.free
+    low = build({constant.name: constant.lower for constant in free}).constants
+    high = build({constant.name: constant.upper for constant in free}).constants
+    return low, {} if case.file.wall.held else high
 
 
 def _values(file: CaseFile, name: str) -> tuple[float, ...]:

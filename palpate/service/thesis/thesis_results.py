@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from palpate.service.results.identification import TANGENTS
-from palpate.service.results.intervals import DEVIATIONS
+from palpate.service.results.physical_limits import DEVIATIONS
 from palpate.service.results.result_records import StudyResults
 from palpate.service.thesis.remaining_time import parts_of
 from palpate.service.thesis.thesis_experiments import (

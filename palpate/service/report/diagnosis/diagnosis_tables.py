@@ -27,7 +27,7 @@ from palpate.service.diagnosis.diagnosis_words import (
     spoken,
 )
 from palpate.service.number_formatting import NONE, number, percent, signed_error, symbol
-from palpate.service.results.quotability_rule import Bounds
+from palpate.service.results.physical_limits import Bounds
 from palpate.storage.values import Triple
 from palpate.workers.diagnosis.outcome import diagnosis_summary as schema
 from palpate.workers.diagnosis.outcome.diagnosis_summary import PredictedPoint, Summary

@@ -15,7 +15,7 @@ and in any order of keys; floats differ if any bit differs.
 The checksum of a record is the last field of its line of JSON and covers every byte before it, so
 a changed digit is found even if it parses to the same number. Records of earlier versions have
 none: they can be read, but not verified. Lines of a journal also contain the checksum of the line
-before; see `storage.chained_lines`.
+before; see `storage.journal`.
 """
 
 import hashlib

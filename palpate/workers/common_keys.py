@@ -2,7 +2,7 @@
 
 The unit is part of every key. An unknown key is refused with a suggestion; `explain`
 converts pydantic's errors to a message for the user, and `validated` raises it as an
-`InputError`. The keys of one organ are in its own ``spec.py``.
+`InputError`. The keys of one organ are in its own ``NAME_keys.py``.
 """
 
 import math

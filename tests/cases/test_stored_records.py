@@ -12,8 +12,8 @@ from palpate.service.results.results_as_json import study_json
 from palpate.service.results.results_from_journal import study_results
 from palpate.service.study.study_folder import StudyLog
 from palpate.storage.backends.store_paths import StudyLayout, place_of
-from palpate.storage.chained_lines import PREVIOUS_KEY
 from palpate.storage.errors import JournalError, NewerSchemaError, StoreError
+from palpate.storage.journal import PREVIOUS_KEY
 from palpate.storage.json_digests import CHECKSUM_KEY, dumps, loads, seal, unseal
 from palpate.storage.store import Store, load_evaluation, open_store
 from palpate.storage.stored_arrays import load_arrays, save_arrays

@@ -27,8 +27,8 @@ from palpate.service.study.study_folder import StudyLog
 from palpate.service.study.study_keys import StudySpec, parse_spec
 from palpate.service.study.task_requests import Tasks
 from palpate.storage.backends.store_paths import Location, StudyLayout
-from palpate.storage.chained_lines import LineChain
 from palpate.storage.errors import StoreError
+from palpate.storage.journal import LineChain
 from palpate.storage.json_digests import CHECKSUM_KEY, digest
 from palpate.storage.store import Store, load_evaluation, open_store, save_evaluation
 from palpate.workers.organs.normal_equations import NormalEquations

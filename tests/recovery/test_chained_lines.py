@@ -12,9 +12,8 @@ from palpate.service.server.job_progress import JournalTail
 from palpate.service.study.study_folder import StudyLog
 from palpate.service.study.study_keys import StudySpec
 from palpate.storage.backends.store_paths import StudyLayout
-from palpate.storage.chained_lines import PREVIOUS_KEY, Seal
 from palpate.storage.errors import JournalError
-from palpate.storage.journal import Journal
+from palpate.storage.journal import PREVIOUS_KEY, Journal, Seal
 from palpate.storage.json_digests import CHECKSUM_KEY, dumps, seal
 from tests.recovery.stand_ins import SPEC, Inline, run, small_spec, told
 

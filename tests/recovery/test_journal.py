@@ -10,9 +10,8 @@ import threading
 
 import pytest
 
-from palpate.storage.chained_lines import BLOCK
 from palpate.storage.errors import JournalError, NewerSchemaError
-from palpate.storage.journal import Journal
+from palpate.storage.journal import BLOCK, Journal
 from palpate.storage.journal_records import EvaluationRecord, Status, record_of
 
 RECORDS = [{"candidate": i, "gsf": -i / 3, "note": "é\n\u2028\udcff"} for i in range(5)]

@@ -12,8 +12,7 @@ from palpate.service.blind.set_scoring import ScoredSet, Seals
 from palpate.service.diagnosis.diagnosis_words import NOT_EFFECTS, likely, signed, spoken, together
 from palpate.service.installed_packages import palpate_version
 from palpate.service.number_formatting import NONE
-from palpate.service.report.page.page_elements import Picture, picture
-from palpate.service.report.page.page_template import filled
+from palpate.service.report.page.page_elements import Picture, filled, picture
 from palpate.storage.errors import InputError
 
 

@@ -9,8 +9,8 @@ from typing import Any
 from palpate.service.study.study_progress import Pace
 from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.best_candidate import BestSoFar
-from palpate.storage.chained_lines import LineChain, line_before
 from palpate.storage.errors import InputError, JournalError
+from palpate.storage.journal import LineChain, line_before
 from palpate.storage.journal_records import EvaluationRecord
 
 READ_BYTES = 256 * 1024

@@ -19,9 +19,8 @@ from palpate.service.study.study_keys import StudySpec, differences
 from palpate.storage.backends.atomic_files import explained, write_file
 from palpate.storage.backends.store_paths import Place, StudyLayout, place_of
 from palpate.storage.best_candidate import score_of
-from palpate.storage.chained_lines import Seal
 from palpate.storage.errors import InputError, JournalError
-from palpate.storage.journal import Journal
+from palpate.storage.journal import Journal, Seal
 from palpate.storage.journal_records import (
     EndRecord,
     EvaluationRecord,

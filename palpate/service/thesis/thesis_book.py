@@ -14,7 +14,7 @@ from matplotlib.image import imsave
 
 from palpate.service.installed_packages import palpate_version
 from palpate.service.number_formatting import count, duration
-from palpate.service.report.page.page_template import filled
+from palpate.service.report.page.page_elements import filled
 from palpate.service.thesis import (
     coefficient_chapter,
     mammogram_chapter,

@@ -12,7 +12,6 @@ from palpate.service.templates import template
 from palpate.storage.values import Tissue, Volume
 from palpate.workers.blind.case_files import write_case
 from palpate.workers.blind.random_case import draw
-from palpate.workers.body.images.segmented_body import in_air
 from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
 from palpate.workers.comparison.warp_volume import warp_labels
 from palpate.workers.mechanics.fem.body_equilibrium import solve
@@ -21,6 +20,7 @@ from palpate.workers.mechanics.fem.discretisation import prepare
 from palpate.workers.mechanics.model_parameters import BREAST
 from palpate.workers.organs.breast.breast_keys import BreastCase, ModelSpec
 from palpate.workers.organs.breast.breast_study_source import StudyPieces, StudySource
+from palpate.workers.organs.breast.scan_facts import in_air
 from palpate.workers.organs.breast.scanned_case import ScannedCase
 from palpate.workers.organs.breast.scanned_case_files import read_case, read_case_file, understood
 from palpate.workers.organs.breast.scanned_case_keys import CaseFile, CaseModel

@@ -16,10 +16,10 @@ from palpate.storage.store import open_store
 from palpate.storage.stored_arrays import load_volume, save_volume
 from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.images.image_formats import read_labels, read_volume_file
-from palpate.workers.body.images.segmented_body import in_air, in_coarser_voxels, one_body
 from palpate.workers.body.images.tissue_labels import crop_to_body, relabel
 from palpate.workers.body.mesh.mesh_hierarchy import build_hierarchy
 from palpate.workers.comparison.warp_volume import warp_labels
+from palpate.workers.organs.breast.scan_facts import in_air, in_coarser_voxels, one_body
 from palpate.workers.tasks.task_store import TaskStore
 from tests.cases.images.image_cases import (
     FRAME,

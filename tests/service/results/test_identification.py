@@ -9,7 +9,8 @@ from palpate.service.results.identification import (
     identification_from_scatter,
     identification_from_tangents,
 )
-from palpate.service.results.intervals import DEVIATIONS, SearchedConstants
+from palpate.service.results.intervals import SearchedConstants
+from palpate.service.results.physical_limits import DEVIATIONS
 from palpate.storage.values import FitJson
 from palpate.workers.mechanics.model_parameters import BREAST
 

@@ -16,7 +16,6 @@ from palpate.service.thesis.thesis_results import (
     ThesisResults,
     Varied,
 )
-from palpate.workers.body.mesh.mesher_comparison import Agreement
 from palpate.workers.comparison.similarity_score import Coefficients
 from palpate.workers.mechanics.fem.boundary_value_problem import Outcome
 from palpate.workers.thesis.coefficient_choice import (
@@ -31,7 +30,14 @@ from palpate.workers.thesis.coefficient_choice import (
     make_bar,
     select,
 )
-from palpate.workers.thesis.mesh_quality import BINS, MEASURES, MeshKind, QualityRow, aspect_rows
+from palpate.workers.thesis.mesh_quality import (
+    BINS,
+    MEASURES,
+    Agreement,
+    MeshKind,
+    QualityRow,
+    aspect_rows,
+)
 from palpate.workers.thesis.phantom_compression import SEARCH_PHANTOMS, TARGETS, Scale, TargetName
 
 

@@ -13,7 +13,7 @@ from palpate.service.diagnosis.diagnosed_constants import (
 )
 from palpate.service.diagnosis.diagnosis_words import together
 from palpate.service.number_formatting import joined, percent, signed_error, symbol
-from palpate.service.report.page.quoted_values import quote_lines
+from palpate.service.report.page.page_elements import quote_lines
 from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
 
 

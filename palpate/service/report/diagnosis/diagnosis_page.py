@@ -37,8 +37,14 @@ from palpate.service.report.diagnosis.diagnosis_consequence import next_step, qu
 from palpate.service.report.diagnosis.diagnosis_viewers import body_data, slice_data
 from palpate.service.report.diagnosis.gap_pictures import overlay_legend
 from palpate.service.report.diagnosis.specimen_pictures import arrow_pictures, specimen_pictures
-from palpate.service.report.page.page_elements import Picture, TableRow, chart
-from palpate.service.report.page.page_template import DIAGNOSIS_TERMS, OVERLAP_TERMS, filled
+from palpate.service.report.page.page_elements import (
+    DIAGNOSIS_TERMS,
+    OVERLAP_TERMS,
+    Picture,
+    TableRow,
+    chart,
+    filled,
+)
 from palpate.service.report.study.page_provenance import Origin, diagnosis_provenance
 from palpate.storage.backends.atomic_files import explained, write_file
 from palpate.storage.json_digests import to_plain

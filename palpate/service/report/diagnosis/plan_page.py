@@ -35,8 +35,7 @@ from palpate.service.report.drawing.matplotlib_figures import (
     figure,
     legend,
 )
-from palpate.service.report.page.page_elements import Picture, picture
-from palpate.service.report.page.page_template import filled
+from palpate.service.report.page.page_elements import Picture, filled, picture
 from palpate.storage.json_digests import to_json, to_plain
 from palpate.workers.diagnosis.plan_summary import FurtherMeasurement, PlannedEffect, PlanSummary
 

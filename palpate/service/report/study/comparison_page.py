@@ -24,8 +24,7 @@ from palpate.service.report.drawing.svg import (
     tick_text,
     vertical_axis,
 )
-from palpate.service.report.page.page_elements import Picture, chart
-from palpate.service.report.page.page_template import filled
+from palpate.service.report.page.page_elements import Picture, chart, filled
 from palpate.service.results.quotability_rule import names_by_reason
 from palpate.service.results.result_records import ParameterEstimate
 from palpate.service.results.study_comparison import ComparedStudy, StudyComparison

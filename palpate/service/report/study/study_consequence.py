@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from markupsafe import Markup
 
 from palpate.service.number_formatting import joined, number, symbol
-from palpate.service.report.page.quoted_values import quote_lines
+from palpate.service.report.page.page_elements import quote_lines
 from palpate.service.results.identification import Identification, IdentifiedConstant
 from palpate.service.results.intervals import in_words
 from palpate.service.results.quotability_rule import Quotability

@@ -17,8 +17,7 @@ from palpate.service.number_formatting import (
     small_percent,
     symbol,
 )
-from palpate.service.report.page.page_elements import Json, picture, script
-from palpate.service.report.page.page_template import STUDY_TERMS, filled
+from palpate.service.report.page.page_elements import STUDY_TERMS, Json, filled, picture, script
 from palpate.service.report.study import study_tables
 from palpate.service.report.study.page_provenance import study_provenance
 from palpate.service.report.study.study_charts import posterior_picture

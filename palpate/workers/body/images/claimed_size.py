@@ -2,15 +2,21 @@
 
 Every reader of a format asks here before it allocates an array. DICOM spreads the size of its
 pixels over several fields; `pixel_bytes` reads them before any pixel is decoded.
+
+Nothing in a file is skipped in silence: of what follows the voxels, or a stream of bzip2, only
+zeros are ignored (`bz2.BZ2File` ignores more, such as a second stream whose first byte has
+changed).
 """
 
+import bz2
+import io
 import os
 import resource
 from collections.abc import Iterable
 from functools import cache
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from palpate.storage.errors import InputError
 
@@ -166,3 +172,47 @@ def _whole(path: Path, dataset: Any, name: str, default: int = 1) -> int:
         return default if value is None else int(value)
     except (TypeError, ValueError):
         raise InputError(f"{path} has {name} {str(value)[:40]!r}, expected one number.") from None
+
+
+_BLOCK_BYTES = 2**16
+
+
+class Bzip2Stream(io.RawIOBase):
+    """Content of bzip2 data, which, unlike in `bz2.BZ2File`, only zeros may follow.
+
+    Parameters
+    ----------
+    file : binary file
+        Positioned at the beginning of the data.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._stream = bz2.BZ2Decompressor()
+        self._held = b""
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill a buffer, and return the number of bytes; see `io.RawIOBase`."""
+        part = b""
+        while not part and not (self._stream.eof and self._nothing_follows()):
+            if self._stream.needs_input and not self._held:
+                self._held = self._file.read(_BLOCK_BYTES)
+                if not self._held:
+                    raise EOFError("its compressed data have no end")
+            part = self._stream.decompress(self._held, len(buffer))
+            self._held = b""
+        buffer[: len(part)] = part
+        return len(part)
+
+    def _nothing_follows(self) -> bool:
+        """Skip zeros after a stream; begin the next one, unless the file ends."""
+        self._held = self._stream.unused_data.lstrip(b"\0")
+        while not self._held and (block := self._file.read(_BLOCK_BYTES)):
+            self._held = block.lstrip(b"\0")
+        if self._held:
+            self._stream = bz2.BZ2Decompressor()
+        return not self._held

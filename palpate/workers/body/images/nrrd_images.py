@@ -25,8 +25,13 @@ from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
-from palpate.workers.body.images.bzip2_stream import Bzip2Stream
-from palpate.workers.body.images.claimed_size import BZIP2, DEFLATE, check_stored, claimed_bytes
+from palpate.workers.body.images.claimed_size import (
+    BZIP2,
+    DEFLATE,
+    Bzip2Stream,
+    check_stored,
+    claimed_bytes,
+)
 from palpate.workers.body.images.scan_orientation import (
     RAS_TO_LPS,
     SPACING_TOLERANCE,

@@ -11,7 +11,6 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, FreeParameter, Tissue, Volume
 from palpate.workers.body.images.image_formats import LabelImage
 from palpate.workers.body.images.named_labels import label_tissues, read_tissues
-from palpate.workers.body.images.segmented_body import in_coarser_voxels
 from palpate.workers.body.images.tissue_labels import (
     crop_to_body,
     default_map,
@@ -57,6 +56,7 @@ from palpate.workers.organs.breast.interface_fit import (
     observe_target,
 )
 from palpate.workers.organs.breast.scan_alignment import aligned, study_load
+from palpate.workers.organs.breast.scan_facts import in_coarser_voxels
 from palpate.workers.organs.organ_protocol import Arrays, Facts, Scores
 
 OUTLINE = "outline"

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Volume
-from palpate.workers.body.images.segmented_body import in_air
 from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy, mesh_whole_body
 from palpate.workers.common_keys import validated
 from palpate.workers.comparison.observation.isosurface import smooth_outline
@@ -46,7 +45,7 @@ from palpate.workers.organs.breast.breast_problem import (
     problem_of,
 )
 from palpate.workers.organs.breast.breast_study_checks import BreastChecks
-from palpate.workers.organs.breast.scan_facts import study_noise
+from palpate.workers.organs.breast.scan_facts import in_air, study_noise
 from palpate.workers.organs.plausibility_rule import Finding
 
 # Names of both volumes in the content of a study.

@@ -15,7 +15,6 @@ from scipy.linalg import solve_triangular
 from scipy.sparse import csr_matrix
 
 from palpate.storage.values import FloatArray, FreeParameter, Tissue, Volume
-from palpate.workers.body.images.segmented_body import in_air, in_coarser_voxels
 from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy
 from palpate.workers.body.mesh.nodal_interpolation import interpolation_at_points
 from palpate.workers.comparison.observation.interface_residual import (
@@ -41,7 +40,12 @@ from palpate.workers.mechanics.fem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.fem.discretisation import Model
 from palpate.workers.mechanics.fem.equilibrium_sensitivity import tangents
 from palpate.workers.organs.breast.breast_effects import CATALOGUE
-from palpate.workers.organs.breast.scan_facts import NUGGET_VOXELS, study_noise
+from palpate.workers.organs.breast.scan_facts import (
+    NUGGET_VOXELS,
+    in_air,
+    in_coarser_voxels,
+    study_noise,
+)
 from palpate.workers.organs.normal_equations import normal_equations
 from palpate.workers.organs.organ_protocol import Residuals, logarithmic
 

@@ -11,7 +11,6 @@ from functools import cached_property
 import numpy as np
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.images.segmented_body import in_air
 from palpate.workers.body.mesh.mesh_hierarchy import Hierarchy, mesh_whole_body
 from palpate.workers.comparison.observation.isosurface import smooth_outline
 from palpate.workers.comparison.observation.segmentation_noise import (
@@ -40,6 +39,7 @@ from palpate.workers.organs.breast.scan_facts import (
     NUGGET_VOXELS,
     PlateLoad,
     extent_mm,
+    in_air,
     study_noise,
     unit_axis,
 )

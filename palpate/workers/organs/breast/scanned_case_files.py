@@ -21,7 +21,6 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.images.image_formats import LabelImage, read_labels
 from palpate.workers.body.images.named_labels import label_tissues
-from palpate.workers.body.images.segmented_body import in_air, one_body
 from palpate.workers.body.images.tissue_labels import crop_to_body, label_counts, relabel
 from palpate.workers.common_keys import validated
 from palpate.workers.file_keys import SAME_FIBRES, with_current_names
@@ -29,7 +28,7 @@ from palpate.workers.input_files import named_by, parse_json, parse_yaml, read_t
 from palpate.workers.mechanics.model_parameters import KPA, Unit
 from palpate.workers.organs.breast.breast_laws import law_text, wall_text
 from palpate.workers.organs.breast.scan_border import cut_cm2
-from palpate.workers.organs.breast.scan_facts import DRAWN_LENGTH_MM, DRAWN_VOXELS
+from palpate.workers.organs.breast.scan_facts import DRAWN_LENGTH_MM, DRAWN_VOXELS, in_air, one_body
 from palpate.workers.organs.breast.scanned_case import (
     ScannedCase,
     above_wall,

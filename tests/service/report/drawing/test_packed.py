@@ -14,7 +14,7 @@ def test_template_and_style_are_included_in_the_wheel() -> None:
         for file in wheel.WheelBuilder(str(ROOT)).recurse_included_files()
     }
     folder = Path("palpate/service/report/page")
-    needed = {"study.html.j2", "macros.html.j2", "report.css", "page_template.py"}
+    needed = {"study.html.j2", "macros.html.j2", "report.css", "page_elements.py"}
     scripts = {path.name for path in (ROOT / folder / "scripts").glob("*.js")}
     assert {"common.js", "slices.js", "body.js", "charts.js", "downloads.js", "page.js"} == scripts
     assert {folder / name for name in needed} <= packed

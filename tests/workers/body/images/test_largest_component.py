@@ -4,7 +4,7 @@ import numpy as np
 from scipy.ndimage import binary_fill_holes, label
 
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.body.images.segmented_body import AIR_VOXELS, in_air, one_body
+from palpate.workers.organs.breast.scan_facts import AIR_VOXELS, in_air, one_body
 
 
 def block() -> np.ndarray:

@@ -8,9 +8,9 @@ from palpate.storage.values import TetMesh, Tissue, Volume
 from palpate.workers.body.mesh.adaptive_lattice import Sizes
 from palpate.workers.body.mesh.adaptive_mesher import AdaptiveMesh, adaptive_mesh
 from palpate.workers.body.mesh.mesh_geometry import boundary_triangles, measures, triangle_areas_mm2
-from palpate.workers.body.mesh.mesher_comparison import agreement
 from palpate.workers.body.phantom.phantom_generation import generate_breast
 from palpate.workers.body.phantom.phantom_settings import BreastPhantom
+from palpate.workers.thesis.mesh_quality import agreement
 
 SMALL = BreastPhantom(
     lower_mm=18.75, upper_mm=20.0, half_width_mm=18.75, depth_mm=18.75, compartments=20,

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 from palpate.storage.values import FloatArray, TetMesh
-from palpate.workers.body.mesh.mesher_comparison import plane_section
+from palpate.workers.thesis.mesh_quality import plane_section
 
 SIZE_MM = np.array([2.0, 3.0, 5.0])
 

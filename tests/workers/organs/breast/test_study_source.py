@@ -7,13 +7,13 @@ import pytest
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Volume
-from palpate.workers.body.images.segmented_body import in_air
 from palpate.workers.body.phantom.phantom_generation import generate_breast
 from palpate.workers.mechanics.fem.discretisation import prepare
 from palpate.workers.organs.breast.breast_keys import BreastCase
 from palpate.workers.organs.breast.breast_organ import ORGAN
 from palpate.workers.organs.breast.breast_problem import extent_of
 from palpate.workers.organs.breast.breast_study_source import StudyPieces, StudySource
+from palpate.workers.organs.breast.scan_facts import in_air
 from tests.service.diagnosis.compressed_breast import PHANTOM
 from tests.workers.tasks.one_process import diagnosed_store, diagnosis_in
 

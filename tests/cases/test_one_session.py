@@ -233,10 +233,10 @@ def interruptible_exit() -> Iterator[None]:
 @pytest.mark.parametrize(
     ("command", "work"),
     [
-        (["profile", "demo", "E_fat"], "palpate.service.results.profile_likelihood.profile_of"),
+        (["profile", "demo", "E_fat"], "palpate.service.commands.studies.profile.profile_of"),
         (
             ["thesis", "coefficients", "--sketch"],
-            "palpate.service.thesis.thesis_experiments.run_thesis",
+            "palpate.service.commands.validation.thesis.run_thesis",
         ),
     ],
 )

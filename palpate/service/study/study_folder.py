@@ -34,6 +34,8 @@ from palpate.storage.journal_records import (
 from palpate.storage.values import PreparedBody, PreparedTarget
 from palpate.workers.input_files import dump_yaml
 
+LONGEST_RUN_S = 60 * 86_400.0
+"""A longer time from the beginning of a run to its last sign is that of a clock that was set."""
 FINDINGS_OF = "evaluation"
 """Key of `findings.json` that names the evaluation which the findings are about."""
 
@@ -162,7 +164,8 @@ class StudyLog:
         began = last.began_at
         if self.end is not None or began is None:
             return noted
-        return max(noted, last.seconds + (until - began).total_seconds())
+        seconds = last.seconds + (until - began).total_seconds()
+        return max(noted, seconds) if seconds < LONGEST_RUN_S else noted
 
     @property
     def last_session(self) -> SessionRecord | None:

@@ -90,7 +90,7 @@ def test_json_output_has_every_row(
         Row("solve", "s", 5, None, 0.1, 1.0),
         Row("unknown", "s", 5, None, 0.01, None, 2.0, "x"),
     ]
-    monkeypatch.setattr("palpate.service.bench.stage_timing.measure", lambda *_: iter(rows))
+    monkeypatch.setattr("palpate.service.commands.validation.bench.measure", lambda *_: iter(rows))
     assert main(["bench", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert [Row(**row) for row in found] == rows

@@ -158,7 +158,9 @@ def test_invalid_arguments_give_one_message(call: Call, arguments: list[str], sa
 def test_score_prints_metrics_and_writes_the_page(
     call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("palpate.service.blind.set_scoring.score_sets", lambda *_: scored(cases()))
+    monkeypatch.setattr(
+        "palpate.service.commands.validation.blind.score_sets", lambda *_: scored(cases())
+    )
     code, out, _ = call("blind", "score", "set", "--page", "page.html")
     assert code == 0
     lines = [line.split() for line in out.splitlines()]

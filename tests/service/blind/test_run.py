@@ -38,7 +38,7 @@ from tests.service.diagnosis.compressed_breast import read_settings
 def few_suspects() -> Any:
     """Use widely spaced points and two effects."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("palpate.service.diagnosis.diagnosis_run.request_for", small_request)
+        patch.setattr("palpate.service.blind.set_answering.request_for", small_request)
         yield
 
 
@@ -249,8 +249,8 @@ def test_failed_diagnosis_is_recorded_with_its_reason(
     broken, other = sorted(p.name for p in copy.cases.iterdir())
     shutil.rmtree(copy.answers("all"))
     copy.sealed_answers("all").unlink()
-    monkeypatch.setattr("palpate.service.diagnosis.diagnosis_run.request_for", refusing)
-    monkeypatch.setattr("palpate.service.blind.diagnosed_case.diagnose_alone", crashing)
+    monkeypatch.setattr("palpate.service.blind.set_answering.request_for", refusing)
+    monkeypatch.setattr("palpate.service.blind.set_answering.diagnose_alone", crashing)
     asked = Answering(copy, tmp_path / "store", "all", NODES)
     told: list[str] = []
     answer(asked, unanswered(asked), cast(Dispatcher, Inline()), told.append)

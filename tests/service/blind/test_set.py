@@ -182,7 +182,7 @@ def test_lists_changes_since_the_seal(monkeypatch: pytest.MonkeyPatch) -> None:
     assert differences(sealed | {"code": "other"}, frozen(5000)) == ["code"]
     assert sealed["settings"]["effects"][0]["prior_sd"]
     louder = replace(SETTINGS, pose=replace(SETTINGS.pose, shift_sd_mm=5.0))
-    monkeypatch.setattr("palpate.workers.diagnosis.diagnosis_settings.SETTINGS", louder)
+    monkeypatch.setattr("palpate.service.blind.sealed_diagnosis.SETTINGS", louder)
     assert differences(sealed, frozen(5000)) == ["pose"]
 
 

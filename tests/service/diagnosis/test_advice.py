@@ -63,7 +63,7 @@ def few_suspects() -> Iterator[None]:
         return request_for(source, store, nodes, effects=("plate_tilt", "fibre_fan"))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("palpate.service.diagnosis.diagnosis_run.request_for", few)
+        patch.setattr("palpate.service.commands.studies.diagnosing.request_for", few)
         yield
 
 

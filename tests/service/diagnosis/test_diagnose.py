@@ -428,7 +428,7 @@ def test_a_stored_diagnosis_needs_no_cluster(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(
-        "palpate.service.diagnosis.diagnosis_run.request_for", lambda *_: diagnosed[0]
+        "palpate.service.commands.studies.diagnosing.request_for", lambda *_: diagnosed[0]
     )
     assert main(["diagnose", str(tilted), "--json", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr()

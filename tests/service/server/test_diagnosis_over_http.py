@@ -81,7 +81,7 @@ def few_suspects(monkeypatch: pytest.MonkeyPatch) -> None:
     def few(source: Any, store: Any, nodes: int) -> Any:
         return request_for(source, store, nodes, effects=SUSPECTS)
 
-    monkeypatch.setattr("palpate.service.diagnosis.diagnosis_run.request_for", few)
+    monkeypatch.setattr("palpate.service.commands.studies.diagnosing.request_for", few)
 
 
 def steps(events: list[JobEvent]) -> list[tuple[str, int, int]]:

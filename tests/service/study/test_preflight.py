@@ -325,7 +325,7 @@ def test_warns_of_settings_that_the_strategy_ignores(
 def test_a_strategy_uses_only_the_settings_it_lists(tmp_path: Path, monkeypatch) -> None:
     given = GENETIC.make, GENETIC.most_evaluations, GENETIC.most_generations
     plain = Strategy("plain", *given)
-    monkeypatch.setattr("palpate.service.search.search_keys.strategy_named", lambda name: plain)
+    monkeypatch.setattr("palpate.service.study.preflight.strategy_named", lambda name: plain)
     spec = drawn("population: 12", "population: 12, elite: 2")
     (said,) = [f.text for f in preflight(spec, tmp_path / "store") if "does not use" in f.text]
     assert "does not use population and elite. It uses stop." in said

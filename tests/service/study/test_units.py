@@ -49,7 +49,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> None:
             "volume": None,
         }
 
-    monkeypatch.setattr("palpate.workers.tasks.study_tasks.simulate_once", simulate_once)
+    monkeypatch.setattr("palpate.service.commands.studies.simulate.simulate_once", simulate_once)
 
 
 @pytest.mark.usefixtures("simulated")

@@ -79,7 +79,7 @@ def test_quadratic_effects_start_away_from_zero(monkeypatch):
         begun.append(free.of_effect(EDGE, z)["plate_edge"])
         return fit(inverse, free, z, *rest)
 
-    monkeypatch.setattr("palpate.workers.diagnosis.fits.gauss_newton.fit", watched)
+    monkeypatch.setattr("palpate.workers.diagnosis.verdict.joint_fit.fit", watched)
     found = fit_jointly(analysis, [EDGE])
     assert begun[0] >= SETTINGS.joint_fits.steep_start * EDGE.prior_sd[0]
     assert found is not None
@@ -101,7 +101,7 @@ def test_unsolvable_starts_move_towards_neutral(monkeypatch):
         begun.append(free.of_effect(TILT, z)["tilt_depth"])
         return fit(inverse, free, z, *rest) if len(begun) > 1 else None
 
-    monkeypatch.setattr("palpate.workers.diagnosis.fits.gauss_newton.fit", failing_at_first)
+    monkeypatch.setattr("palpate.workers.diagnosis.verdict.joint_fit.fit", failing_at_first)
     found = fit_jointly(analysis, [TILT])
     assert begun[0] > 1.0
     assert begun[1:] == [pytest.approx(SETTINGS.joint_fits.start_shares[1] * begun[0])]
@@ -129,7 +129,7 @@ def test_only_the_best_of_several_starts_continues(monkeypatch):
         runs.append((most, free.of_effect(ATTACHED, z)["attachment_x"], found))
         return found
 
-    monkeypatch.setattr("palpate.workers.diagnosis.fits.gauss_newton.fit", watched)
+    monkeypatch.setattr("palpate.workers.diagnosis.verdict.joint_fit.fit", watched)
     monkeypatch.setattr(
         "palpate.workers.diagnosis.verdict.joint_fit._starts", lambda *_: [far, near]
     )

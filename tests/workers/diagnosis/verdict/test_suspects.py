@@ -146,7 +146,7 @@ def joint_fit(names: str, log_evidence: float) -> Any:
 def supported(monkeypatch) -> tuple[Any, dict[str, Any]]:
     """An analysis in which the residuals of every fit support a skin, and the catalogue."""
     monkeypatch.setattr(
-        "palpate.workers.diagnosis.fits.effect_screening.screen",
+        "palpate.workers.diagnosis.verdict.diagnosis_course.screen",
         lambda *_: [screened("skin_added", 30.0)],
     )
     monkeypatch.setattr(
@@ -174,7 +174,7 @@ def test_three_effects_extend_the_best_two(supported) -> None:
 def test_every_nat_of_evidence_counts_zeta(monkeypatch, zeta: float) -> None:
     evidence = {(): Hypothesis((), -90.0, 20.0), ("growth",): Hypothesis(("growth",), -40.0)}
     monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.hypotheses.JointEvidence",
+        "palpate.workers.diagnosis.verdict.diagnosis_course.JointEvidence",
         lambda *_: SimpleNamespace(hypothesis=evidence.__getitem__),
     )
     analysis: Any = SimpleNamespace(
@@ -262,7 +262,7 @@ def test_fits_the_most_promising_pairs(monkeypatch, left, unexplained, expected)
         found = [screened(name, nats) for name, nats in left[names[0]].items()]
         return sorted(found, key=lambda one: -one.log_bayes_factor)
 
-    monkeypatch.setattr("palpate.workers.diagnosis.fits.effect_screening.screen", screen)
+    monkeypatch.setattr("palpate.workers.diagnosis.verdict.diagnosis_course.screen", screen)
     monkeypatch.setattr(
         "palpate.workers.diagnosis.verdict.diagnosis_course._is_unexplained", lambda *_: unexplained
     )

@@ -13,7 +13,6 @@ to that of :math:`v_i` in squares. The interval then covers 88 to 92 %.
 """
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from palpate.service.number_formatting import at_edge
 from palpate.service.search.search_interface import FloatArray
@@ -63,6 +62,8 @@ def limited_step(
     >>> step.round(9).tolist(), round(fall, 9)
     ([0.0, 2.0], 4.0)
     """
+    from scipy.optimize import lsq_linear  # slow to load, and few studies end at a limit
+
     values, vectors = np.linalg.eigh(information)
     seen = values > UNSEEN * max(float(values[-1]), 1e-300)
     size = np.sqrt(values[seen])

@@ -18,7 +18,7 @@ MOVES = ".git-blame-ignore-revs"
 
 
 def history_is_known() -> bool:
-    """Return whether all commits are here: not in a package, nor in a shallow clone."""
+    """Return True in a full clone, False in a shallow clone or without git."""
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         return False
     return _git("rev-parse", "--is-shallow-repository") == "false"

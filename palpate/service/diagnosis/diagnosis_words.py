@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from itertools import combinations
 from typing import Literal, Protocol
 
-from palpate.service.number_formatting import MINUS, NONE, number
+from palpate.service.number_formatting import MINUS, NONE, listed, number
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.outcome.diagnosis_summary import (
     EffectSummary,
@@ -77,17 +77,6 @@ def together(names: Sequence[str]) -> str:
     'plate tilt and friction'
     """
     return listed([spoken(name) for name in names])
-
-
-def listed(items: Sequence[str]) -> str:
-    """Return items with commas, and an "and" before the last.
-
-    Examples
-    --------
-    >>> listed(["a", "b", "c"])
-    'a, b and c'
-    """
-    return " and ".join([", ".join(items[:-1]), items[-1]] if len(items) > 1 else items)
 
 
 def likely(probability: float) -> str:

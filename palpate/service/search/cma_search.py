@@ -16,9 +16,9 @@ from palpate.service.search.search_interface import (
     LogSpace,
     Proposal,
     Space,
-    Stall,
     Stopped,
 )
+from palpate.service.search.stop_rules import Stall
 
 FIRST_SIGMA = 0.3
 # CMA-ES keeps no elite: in small populations its best score can stay the same for many

@@ -36,14 +36,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.service.search.search_interface import (
-    FloatArray,
-    Generation,
-    Proposal,
-    Space,
-    Stall,
-    Stopped,
-)
+from palpate.service.search.search_interface import FloatArray, Generation, Proposal, Space, Stopped
+from palpate.service.search.stop_rules import Stall
 from palpate.storage.errors import InputError
 
 IndexArray = NDArray[np.intp]

@@ -28,7 +28,8 @@ from palpate.service.search.least_squares_search import (
     LeastSquaresSettings,
     PolishedSearch,
 )
-from palpate.service.search.search_interface import LogScale, LogScaledSearch, Search, Space, Stall
+from palpate.service.search.search_interface import LogScale, LogScaledSearch, Search, Space
+from palpate.service.search.stop_rules import Stall
 from palpate.storage.errors import InputError
 from palpate.workers.common_keys import Door, Finite, Positive, checked_name
 from palpate.workers.mechanics.model_parameters import Bounds

@@ -16,7 +16,7 @@ from pydantic import Field, ModelWrapValidatorHandler, SerializeAsAny, create_mo
 
 from palpate.service.search.genetic_search import SteadyGenetic
 from palpate.service.search.least_squares_search import FittedNames
-from palpate.service.search.search_interface import Search, StoppingSearch, StopRules
+from palpate.service.search.search_interface import Search
 from palpate.service.search.search_keys import (
     COARSE_LEVELS,
     LevelSpec,
@@ -25,6 +25,7 @@ from palpate.service.search.search_keys import (
     Strategy,
     strategy_named,
 )
+from palpate.service.search.stop_rules import StoppingSearch, StopRules
 from palpate.storage.errors import InputError
 from palpate.storage.json_digests import digest
 from palpate.storage.values import FreeParameter, Prior

@@ -39,7 +39,7 @@ from palpate.service.report.page.page_elements import Picture
 from palpate.service.thesis import printed_results
 from palpate.service.thesis.thesis_results import Cost, FoundSearch, Varied
 from palpate.storage.values import BoolArray, FloatArray, Tissue
-from palpate.workers.comparison.similarity_score import HAUSDORFF_NAMES
+from palpate.workers.comparison.similarity_coefficients import HAUSDORFF_NAMES
 from palpate.workers.thesis.coefficient_choice import CylinderRow, Selection
 from palpate.workers.thesis.mesh_quality import BINS, MEASURES, RANGES, QualityRow
 

@@ -5,7 +5,7 @@ from palpate.service.report.page.page_elements import picture
 from palpate.service.thesis import chapter_elements
 from palpate.service.thesis.chapter_elements import Chapter, Table, cost_rows
 from palpate.service.thesis.thesis_results import CoefficientsResult, Cost
-from palpate.workers.comparison.similarity_score import COEFFICIENT_NAMES
+from palpate.workers.comparison.similarity_coefficients import COEFFICIENT_NAMES
 from palpate.workers.thesis.coefficient_choice import (
     BAR_LENGTH_MM,
     BAR_SIDE_MM,

@@ -23,13 +23,13 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, TetMesh, Tissue, Triple, Volume
-from palpate.workers.comparison.similarity_score import (
+from palpate.workers.comparison.similarity_coefficients import (
     COEFFICIENT_NAMES,
     HAUSDORFF_NAMES,
     Coefficients,
-    Surface,
     coefficients,
 )
+from palpate.workers.comparison.similarity_score import Surface
 from palpate.workers.comparison.warp_volume import warp_labels
 from palpate.workers.mechanics.fem.body_equilibrium import solve
 from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Outcome, Problem

@@ -29,7 +29,7 @@ from palpate.workers.comparison.mammogram_image import (
     expose,
     grey_picture,
 )
-from palpate.workers.comparison.similarity_score import coefficients
+from palpate.workers.comparison.similarity_coefficients import coefficients
 from palpate.workers.comparison.warp_volume import warp_labels
 from palpate.workers.comparison.xray_beam import (
     CC_AXIS,

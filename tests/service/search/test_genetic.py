@@ -16,14 +16,8 @@ from palpate.service.search.genetic_search import (
     GeneticSettings,
     latin_hypercube,
 )
-from palpate.service.search.search_interface import (
-    FloatArray,
-    Generation,
-    Proposal,
-    Space,
-    Stall,
-    Stopped,
-)
+from palpate.service.search.search_interface import FloatArray, Generation, Proposal, Space, Stopped
+from palpate.service.search.stop_rules import Stall
 from palpate.storage.errors import InputError
 from tests.service.search.boxes import contains
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from palpate.service.search.search_interface import Stall, StallRule
+from palpate.service.search.stop_rules import Stall, StallRule
 from palpate.storage.errors import InputError
 
 

@@ -16,7 +16,7 @@ from palpate.service.thesis.thesis_results import (
     ThesisResults,
     Varied,
 )
-from palpate.workers.comparison.similarity_score import Coefficients
+from palpate.workers.comparison.similarity_coefficients import Coefficients
 from palpate.workers.mechanics.fem.boundary_value_problem import Outcome
 from palpate.workers.thesis.coefficient_choice import (
     ANGLES_DEG,

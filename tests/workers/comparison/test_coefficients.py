@@ -10,13 +10,12 @@ from scipy.spatial import cKDTree
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
-from palpate.workers.comparison.similarity_score import (
+from palpate.workers.comparison.similarity_coefficients import (
     COEFFICIENT_NAMES,
     DirectedDistances,
-    ModifiedHausdorff,
-    Scorer,
     coefficients,
 )
+from palpate.workers.comparison.similarity_score import ModifiedHausdorff, Scorer
 from palpate.workers.comparison.voxel_set import Metric, voxel_set
 
 GLAND = (Tissue.GLANDULAR,)

@@ -15,13 +15,13 @@ from palpate.service.diagnosis.diagnosis_words import (
     is_undecided,
     length,
     likely,
-    listed,
     millimetres,
     noise,
     spoken,
     together,
 )
 from palpate.service.installed_packages import palpate_version, versions
+from palpate.service.number_formatting import listed
 from palpate.service.report.diagnosis import diagnosis_tables as experiment
 from palpate.service.report.diagnosis import diagnosis_tables as tables
 from palpate.service.report.diagnosis import gap_pictures as where

@@ -229,9 +229,7 @@ class TestVoxels:
         write(2.0)
         labels, said = read_labels(tmp_path / name), f"scaled by {fields.format(2)}"
         assert labels.remarks == (f"The labels are the stored numbers {said}.",)
-        with pytest.raises(
-            InputError, match=rf"{said}\) has labels that are not tissue numbers: 6"
-        ):
+        with pytest.raises(InputError, match=rf"{said}\) has numbers as labels and no names"):
             label_tissues(labels, None)
         write(1 / 255)
         said = (

@@ -13,7 +13,7 @@ ROOT = Path(str(workers.__file__)).resolve().parents[1]
 FAMILIES = "palpate.workers.mechanics.effects"
 # Names with another meaning elsewhere: a constant of a study, causes of the other solver, and
 # tangents timed by a benchmark.
-OTHERWISE = {"palpate/service/bench/stage_timing.py", "palpate/service/number_formatting.py"}
+OTHERWISE = {"service/bench/stage_timing.py", "service/number_formatting.py"}
 OF_ORGANS = re.compile(r"workers/organs/(\w+)/\1_(keys|problem)\.py")
 
 

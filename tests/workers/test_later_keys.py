@@ -9,6 +9,7 @@ from palpate.workers.organs.specimen.specimen_keys import (
     CircleSpec,
     LoadsSpec,
     MaterialSpec,
+    PredictSpec,
     RegionSpec,
     SheetSpec,
 )
@@ -31,6 +32,8 @@ CASES = [
     (BodySpec, BOX, "sheet", SheetSpec(size_mm=(4, 5), thickness_mm=1)),
     (RegionSpec, PLANE, "outside_circle_mm", CircleSpec(centre=(0, 0), radius=1)),
     (LoadsSpec, {}, "pressure_kpa", 3.0),
+    (PredictSpec, {"name": "held out"}, "pressure_kpa", 3.0),
+    (PredictSpec, {"name": "held out"}, "files", ("held_out.csv",)),
     (MaterialSpec, {**MATERIAL, "law": "yeoh"}, "constants", {"yeoh_c2": 0.5}),
 ]
 

@@ -12,10 +12,18 @@ from rich.console import Console
 from rich.status import Status
 
 from palpate.service.diagnosis.diagnosis_run import Step
-from palpate.service.diagnosis.diagnosis_words import difference, least_length, measured, spoken
+from palpate.service.diagnosis.diagnosis_words import (
+    agreement,
+    decimals,
+    difference,
+    least_length,
+    measured,
+    signed,
+    spoken,
+)
 from palpate.service.number_formatting import NONE, number
 from palpate.service.study.study_progress import clock
-from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
+from palpate.workers.diagnosis.outcome.diagnosis_summary import PredictedPoint, Summary
 from palpate.workers.tasks.diagnosis_store import (
     CalibrationRecord,
     JointFitRecord,
@@ -146,13 +154,24 @@ def experiment_lines(summary: Summary) -> Iterator[str]:
                 NONE if math.isnan(value) else measured(value, max(sd, least_mm), "mm")
                 for value, sd in parts
             )
-            yield f"  {point.name}: {moved}"
+            yield f"  {point.name}: {moved}{_measured(point, least_mm)}"
         if len(state.points) > SHOWN_POINTS:
             more = len(state.points) - SHOWN_POINTS
             yield f"  and {more} further points: see the page, or --json"
+        if compared := agreement(state):
+            yield f"  {compared}"
         for reaction in state.reactions:
             force = measured(reaction.force_n, reaction.sd_n, "N")
             yield f"  force on {reaction.place}: {force}"
+
+
+def _measured(point: PredictedPoint, least_mm: float) -> str:
+    """Return the measured displacement of a held-out state; empty if nothing was measured."""
+    seen = point.measured_mm
+    if seen is None or all(math.isnan(value) for value in seen):
+        return ""
+    texts = (NONE if math.isnan(value) else signed(value, decimals(least_mm)) for value in seen)
+    return f"; measured {', '.join(texts)} mm"
 
 
 def _force_lines(summary: Summary) -> Iterator[str]:

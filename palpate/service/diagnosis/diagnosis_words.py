@@ -17,6 +17,7 @@ from palpate.workers.diagnosis.outcome.diagnosis_summary import (
     GapSummary,
     NextAcquisition,
     ParameterEstimate,
+    PredictedState,
     Summary,
 )
 from palpate.workers.diagnosis.plan_summary import (
@@ -338,6 +339,25 @@ def _rest(left: GapEstimate, gap: GapSummary) -> str:
 
 def _is_nothing(one: GapEstimate, gap: GapSummary) -> bool:
     return one.gap_mm < min(NOTHING_MM, NOTHING_OF_NOISE * gap.noise_floor)
+
+
+def agreement(state: PredictedState) -> str:
+    """Return how a prediction agrees with the recordings of a held-out state; empty without any.
+
+    Examples
+    --------
+    >>> from palpate.workers.diagnosis.outcome.diagnosis_summary import PredictedPoint
+    >>> point = PredictedPoint("M", (1.0, 2.0, 3.0), (0.1, 0.1, 0.1), (1.1, 2.0, 3.5))
+    >>> agreement(PredictedState("held out", (point,)))
+    'measured: 2 of 3 components within two standard deviations, rms difference 0.29 mm'
+    """
+    found = state.agreement
+    if found is None:
+        return ""
+    return (
+        f"measured: {found.within} of {found.components} components within two standard "
+        f"deviations, rms difference {number(found.rms_mm, 2)} mm"
+    )
 
 
 def least_length(gap: GapSummary) -> float:

@@ -137,6 +137,7 @@ def diagnosis_context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str,
         "forces": experiment.force_table(summary),
         "hidden": experiment.hidden_table(summary),
         "expected": experiment.expected_table(summary),
+        "agreements": experiment.agreements(summary),
         "expected_forces": experiment.expected_force_table(summary),
         "maps": []
         if summary.markers is not None

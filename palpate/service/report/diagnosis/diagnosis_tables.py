@@ -14,6 +14,7 @@ from markupsafe import Markup
 
 from palpate.service.diagnosis.diagnosed_constants import JudgedConstant, judged_constants, unit_of
 from palpate.service.diagnosis.diagnosis_words import (
+    agreement,
     bayes_factor,
     decimals,
     difference,
@@ -251,11 +252,12 @@ class HiddenRow:
 
 @dataclass(frozen=True)
 class ExpectedRow:
-    """The predicted position of a marker in a state that was not measured."""
+    """The predicted displacement of a marker, and the measured one of a held-out state."""
 
     state: str
     name: str
     moved: tuple[str, str, str]
+    measured: str
 
 
 @dataclass(frozen=True)
@@ -331,11 +333,20 @@ def hidden_table(summary: Summary) -> list[HiddenRow]:
 def expected_table(summary: Summary) -> list[ExpectedRow]:
     """Return a row for each marker of each predicted state."""
     least_mm = least_length(summary.gap_mm)
+    digits = decimals(least_mm)
     return [
-        ExpectedRow(state.state, point.name, _deviating(point, least_mm))
+        ExpectedRow(
+            state.state, point.name, _deviating(point, least_mm), _triple(point.measured_mm, digits)
+        )
         for state in summary.predictions or ()
         for point in state.points
     ]
+
+
+def agreements(summary: Summary) -> list[PairOfTexts]:
+    """Return the name of each held-out state and how its recordings agree with the prediction."""
+    states = summary.predictions or ()
+    return [(state.state, text) for state in states if (text := agreement(state))]
 
 
 def expected_force_table(summary: Summary) -> list[ExpectedForceRow]:

@@ -5,6 +5,7 @@ writes and reads them. Lengths are in mm, constants in kPa; parameters of effect
 their units. The first ones belong to bench experiments alone: points, forces, predicted states.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -77,11 +78,34 @@ class ConfoundedEffect:
 
 @dataclass(frozen=True, slots=True)
 class PredictedPoint:
-    """Predicted displacement of a point along x, y and z of the body, with standard deviations."""
+    """Predicted displacement of a point along x, y and z of the body, with standard deviations.
+
+    `measured_mm` is the displacement in the recordings of a held-out state; None without them.
+    """
 
     name: str
     displacement_mm: Triple
     sd_mm: Triple
+    measured_mm: Triple | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How a prediction agrees with the recordings of a held-out state.
+
+    Parameters
+    ----------
+    components : int
+        Number of compared components.
+    within : int
+        Number of those within two standard deviations.
+    rms_mm : float
+        Root mean square difference.
+    """
+
+    components: int
+    within: int
+    rms_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +118,23 @@ class PredictedState:
 
     def __repr__(self) -> str:
         return f"<State {self.state}: {len(self.points)} points predicted>"
+
+    @property
+    def agreement(self) -> Agreement | None:
+        """Agreement with the recordings of a held-out state; None if nothing is compared."""
+        off = [
+            (value - seen, sd)
+            for point in self.points
+            for value, sd, seen in zip(
+                point.displacement_mm, point.sd_mm, point.measured_mm or (), strict=False
+            )
+            if math.isfinite(value - seen)
+        ]
+        if not off:
+            return None
+        within = sum(abs(difference) <= 2 * sd for difference, sd in off)
+        square = sum(difference**2 for difference, _ in off) / len(off)
+        return Agreement(len(off), within, math.sqrt(square))
 
 
 @dataclass(frozen=True, slots=True)

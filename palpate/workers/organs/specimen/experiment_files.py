@@ -43,7 +43,11 @@ def understood(spec: SpecimenSpec) -> list[tuple[str, str]]:
         (f"state {s.name}", "; ".join([_loads(s), *_reactions(s), ", ".join(s.files)]))
         for s in spec.states
     )
-    return [*rows, *states, *((f"to predict: {p.name}", _loads(p)) for p in spec.predict)]
+    predicted = (
+        (f"to predict: {p.name}", "; ".join(filter(None, [_loads(p), ", ".join(p.files)])))
+        for p in spec.predict
+    )
+    return [*rows, *states, *predicted]
 
 
 def _body(body: BodySpec) -> str:
@@ -128,7 +132,7 @@ def read_experiment(path: Path) -> SpecimenSource:
 def files_of(spec: SpecimenSpec, path: Path) -> list[Path]:
     """Return all files on which the result depends: the file itself, mesh and recordings."""
     mesh = spec.body.mesh
-    recordings = [named_by(path, file) for state in spec.states for file in state.files]
+    recordings = [named_by(path, file) for state in spec.recorded for file in state.files]
     return [path, *([named_by(path, mesh)] if mesh else []), *dict.fromkeys(recordings)]
 
 

@@ -26,7 +26,14 @@ from palpate.workers.comparison.observation.marker_tracking import (
 )
 from palpate.workers.comparison.observation.number_table import NumberTable, read_table
 from palpate.workers.mechanics.fem.loads_and_regions import DisplacementField
-from palpate.workers.organs.specimen.specimen_keys import FieldSpec, MarkersSpec, SpecimenSpec
+from palpate.workers.organs.specimen.specimen_keys import (
+    FieldSpec,
+    LoadsSpec,
+    MarkersSpec,
+    MoveSpec,
+    PredictSpec,
+    SpecimenSpec,
+)
 from palpate.workers.organs.specimen.specimen_problem import held_axes, region_of
 
 POINT = ("x_mm", "y_mm", "z_mm")
@@ -45,12 +52,15 @@ class FieldTables:
     points_mm : ndarray, shape (k, 3)
     repeats_mm : tuple of ndarray, shape (r, k, 3)
         Displacements of each state; nan where a component was not measured.
+    held_out_mm : tuple of ndarray, shape (r, k, 3)
+        The same for each state under ``predict``; r is 0 without recordings.
     notes : tuple of str
         Notes on components that are not compared.
     """
 
     points_mm: FloatArray
     repeats_mm: tuple[FloatArray, ...]
+    held_out_mm: tuple[FloatArray, ...]
     notes: tuple[str, ...]
 
     @property
@@ -76,7 +86,7 @@ def read_field(spec: SpecimenSpec, folder: Path) -> FieldTables:
     points: FloatArray | None = None
     is_sheet = spec.body.sheet is not None
     repeats = []
-    for state in spec.states:
+    for state in spec.recorded:
         moved = []
         for file in state.files:
             path = folder / file
@@ -88,11 +98,13 @@ def read_field(spec: SpecimenSpec, folder: Path) -> FieldTables:
             points = positions if points is None else points
             _check_points(path, table, positions, points)
             moved.append(_field_displacements(path, table))
-        repeats.append(np.stack(moved))
+        repeats.append(moved)
     if points is None:
         raise AssertionError("an experiment has states")
-    found_field = FieldTables(points, tuple(repeats), ())
-    return FieldTables(points, found_field.repeats_mm, _notes(found_field.measured))
+    every = [np.reshape(moved, (-1, *points.shape)) for moved in repeats]
+    fitted = len(spec.states)
+    tables = FieldTables(points, tuple(every[:fitted]), tuple(every[fitted:]), ())
+    return replace(tables, notes=_notes(tables.measured))
 
 
 def _check_points(path: Path, table: NumberTable, found: FloatArray, first: FloatArray) -> None:
@@ -177,6 +189,13 @@ class Observed:
         Points of a field whose displacement is prescribed, not among the k points.
     boundary_moved_mm : ndarray, shape (s, b, 3)
         Displacements of these points.
+    held_out_points_mm : ndarray, shape (h, 3)
+        Points in the recordings of held-out states: first the k points, then all others.
+    held_out_mm : ndarray, shape (p, h, 3)
+        Displacements of these points in the p states under ``predict``; nan where not measured.
+    recording_sd_mm : float
+        Typical standard deviation of a component of one point in one recording: the scatter
+        between repeats, at least as stated.
     notes : tuple of str
         Notes on missing data in the recordings.
     scatter : str
@@ -192,6 +211,9 @@ class Observed:
     repeats_mm: tuple[float, ...]
     boundary_mm: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     boundary_moved_mm: FloatArray = field(default_factory=lambda: np.empty((0, 0, 3)))
+    held_out_points_mm: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    held_out_mm: FloatArray = field(default_factory=lambda: np.empty((0, 0, 3)))
+    recording_sd_mm: float = 0.0
     notes: tuple[str, ...] = ()
     scatter: str = ""
 
@@ -200,14 +222,29 @@ class Observed:
         """Mask of the compared components, shape (k, 3)."""
         return np.all(np.isfinite(self.moved_mm), axis=0)
 
-    def boundary_of(self, state: int, spec: SpecimenSpec) -> dict[str, DisplacementField]:
+    def boundary_of(self, state: LoadsSpec, spec: SpecimenSpec) -> dict[str, DisplacementField]:
         """Return the displacement fields of regions that move as measured, in one state."""
+        points, moved = self.boundary_mm, self.boundary_moved_mm
+        if state in spec.predict:
+            points, moved = self.held_out_points_mm, self.held_out_mm
+        number = (spec.predict if state in spec.predict else spec.states).index(state)
         found = {}
-        for name in spec.measured_regions:
-            inside = region_of(spec.regions[name]).contains(self.boundary_mm)
-            points, moved = self.boundary_mm[inside], self.boundary_moved_mm[state, inside]
-            found[name] = DisplacementField(_triples(points), _triples(moved))
+        for name in _names(state.measured_moves):
+            axes = _measured_axes(state.measured_moves, name)
+            known = np.isfinite(moved[number][:, axes]).all(axis=1)
+            inside = region_of(spec.regions[name]).contains(points) & known
+            here = np.nan_to_num(moved[number, inside])
+            found[name] = DisplacementField(_triples(points[inside]), _triples(here))
         return found
+
+    def held_out_of(self, state: PredictSpec, spec: SpecimenSpec) -> FloatArray:
+        """Return the displacements with which a prediction is compared, nan elsewhere, (k, 3)."""
+        k = len(self.points_mm)
+        moved = np.array(self.held_out_mm[spec.predict.index(state), :k])
+        moved[~self.measured] = np.nan
+        for name in _names(state.measured_moves):
+            moved[region_of(spec.regions[name]).contains(self.points_mm)] = np.nan
+        return moved
 
 
 class _Noisy(Protocol):
@@ -249,21 +286,31 @@ def _of_markers(spec: SpecimenSpec, markers: MarkersSpec, folder: Path) -> Obser
         mm_per_unit=markers.mm_per_unit,
         z_is_optional=spec.body.sheet is not None,
     )
-    repeats, misfits, notes = [], [0.0], []
-    for state in spec.states:
+    points = np.array([m.at_mm for m in markers.markers.values()], np.float64)
+    every, misfits, notes = [], [0.0], []
+    for state in spec.recorded:
         recordings = [read(folder / file) for file in state.files]
-        repeats.append(np.stack([_marker_displacements(r, markers) for r in recordings]))
+        moved = [_marker_displacements(r, markers) for r in recordings]
+        every.append(np.reshape(moved, (-1, *points.shape)))
         misfits += [_misfit(r, markers) for r in recordings]
         notes += [note for r in recordings for note in r.notes]
-    points = np.array([m.at_mm for m in markers.markers.values()], np.float64)
-    observation = _observed(points, names, repeats, markers, max(misfits))
-    return _with_scatter(replace(observation, notes=tuple(notes)), spec, repeats, markers)
+    repeats, held_out = every[: len(spec.states)], every[len(spec.states) :]
+    observation = replace(
+        _observed(points, names, repeats, markers, max(misfits)),
+        notes=tuple(notes),
+        held_out_points_mm=points,
+        held_out_mm=_means(held_out, points),
+    )
+    return _with_scatter(observation, spec, repeats)
 
 
 def _of_field(spec: SpecimenSpec, field: FieldSpec, folder: Path) -> Observed:
     tables = read_field(spec, folder)
     points, measured = tables.points_mm, tables.measured
-    inside = _on_boundary(spec, tables)
+    inside = _on_boundary(spec, spec.measured_moves, points, measured)
+    for state, moved in zip(spec.predict, tables.held_out_mm, strict=True):
+        known = np.asarray(np.isfinite(moved).all(axis=0))
+        _on_boundary(spec, state.measured_moves, points, known, f" in the state {state.name}")
     compared = ~inside & measured.any(axis=1)
     if not compared.any():
         raise InputError("All points of the field prescribe motion; none is left to compare.")
@@ -271,49 +318,68 @@ def _of_field(spec: SpecimenSpec, field: FieldSpec, folder: Path) -> Observed:
     names = tuple(str(n) for n in np.flatnonzero(compared))
     # A component that was not measured at a point of the boundary is not prescribed either.
     boundary = [np.nan_to_num(r[:, inside].mean(axis=0)) for r in tables.repeats_mm]
+    order = np.argsort(~compared, kind="stable")
     observation = replace(
         _observed(points[compared], names, own, field, 0.0),
         boundary_mm=points[inside],
         boundary_moved_mm=np.stack(boundary),
+        held_out_points_mm=points[order],
+        held_out_mm=_means(tables.held_out_mm, points)[:, order],
         notes=tables.notes,
     )
-    return _with_scatter(observation, spec, own, field)
+    return _with_scatter(observation, spec, own)
 
 
-def _on_boundary(spec: SpecimenSpec, tables: FieldTables) -> BoolArray:
+def _means(repeats: Sequence[FloatArray], points: FloatArray) -> FloatArray:
+    """Return the means over repeats, nan without any, shape (s, k, 3)."""
+    means = [r.mean(axis=0) if len(r) else np.full(points.shape, np.nan) for r in repeats]
+    return np.reshape(means, (-1, *points.shape))
+
+
+def _on_boundary(
+    spec: SpecimenSpec,
+    moves: Sequence[MoveSpec],
+    points: FloatArray,
+    measured: BoolArray,
+    where: str = "",
+) -> BoolArray:
     """Return a mask of the points of a field that prescribe the motion of a region, shape (k,)."""
-    points = tables.points_mm
     inside = np.zeros(len(points), np.bool_)
-    for name in spec.measured_regions:
-        axes = _measured_axes(spec, name)
-        known = tables.measured[:, axes]
+    for name in _names(moves):
+        axes = _measured_axes(moves, name)
+        known = measured[:, axes]
         absent = np.flatnonzero(~known.any(axis=0))
         if len(absent):
             raise InputError(
-                f"The region {name} moves as measured, but {MOVE[axes[absent[0]]]} was not "
+                f"The region {name} moves as measured{where}, but {MOVE[axes[absent[0]]]} was not "
                 "measured. Add the column, or list the axes that were measured: axes: [...]."
             )
         there = region_of(spec.regions[name]).contains(points)
         here = there & known.all(axis=1)
         if here.sum() < FEWEST:
             raise InputError(
-                f"The region {name} moves as measured, but {int(here.sum())} points of the "
+                f"The region {name} moves as measured{where}, but {int(here.sum())} points of the "
                 f"field with a displacement are in it; at least {FEWEST} are needed. Define it as "
                 "a box that contains a layer of points."
             )
         if len(np.unique(points[here], axis=0)) < here.sum():
             raise InputError(
-                f"The region {name} moves as measured, but points of the field in it are "
+                f"The region {name} moves as measured{where}, but points of the field in it are "
                 "listed twice. List each point once, with one displacement."
             )
         inside |= here
     return inside
 
 
-def _measured_axes(spec: SpecimenSpec, region: str) -> list[int]:
-    """Return the axes along which a region moves as measured in any state."""
-    moves = [m for state in spec.states for m in state.moves if m.region == region and m.measured]
-    return [a for a in range(3) if any(held_axes(m.axes)[a] for m in moves)]
+def _names(moves: Sequence[MoveSpec]) -> list[str]:
+    """Return the names of the moved regions, each once."""
+    return list(dict.fromkeys(move.region for move in moves))
+
+
+def _measured_axes(moves: Sequence[MoveSpec], region: str) -> list[int]:
+    """Return the axes along which a region moves as measured."""
+    own = [move for move in moves if move.region == region]
+    return [a for a in range(3) if any(held_axes(m.axes)[a] for m in own)]
 
 
 def _triples(rows: FloatArray) -> tuple[Triple, ...]:
@@ -376,6 +442,7 @@ def _observed(
     if not measured.all():
         compared = np.tile(measured.ravel(), len(repeats))
         whole = whole[np.ix_(compared, compared)]
+    recorded = float(np.hypot(typical.own_mm, typical.common_mm))
     differ = [
         float(np.nanmean(np.abs(r[0] - r[1]))) if len(r) > 1 else float("nan") for r in repeats
     ]
@@ -387,6 +454,7 @@ def _observed(
         float(np.sqrt(np.diag(whole).mean())),
         misfit,
         tuple(differ),
+        recording_sd_mm=max(recorded, float(np.hypot(floor.own_mm, floor.common_mm))),
     )
 
 
@@ -403,11 +471,9 @@ def _complete(repeats: FloatArray) -> FloatArray:
     return np.asarray(found[:, points])
 
 
-def _with_scatter(
-    found: Observed, spec: SpecimenSpec, repeats: list[FloatArray], stated: _Noisy
-) -> Observed:
+def _with_scatter(found: Observed, spec: SpecimenSpec, repeats: list[FloatArray]) -> Observed:
     """Add a warning if repeats differ by far more than the stated noise."""
-    expected = float(np.hypot(stated.sd_mm, stated.common_sd_mm or 0.0))
+    expected = spec.stated_sd_mm
     for state, moved in zip(spec.states, repeats, strict=True):
         if len(moved) < 2:
             continue

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, Triple
@@ -23,7 +24,7 @@ from palpate.workers.diagnosis.outcome.diagnosis_summary import (
     RegionGap,
 )
 from palpate.workers.diagnosis.outcome.gap_and_shrinkage import region_gap
-from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, Scan
+from palpate.workers.diagnosis.problem.inverse_problem import FORCE, InverseProblem, Scan
 from palpate.workers.diagnosis.problem.scan_prediction import PredictedScan, predict_scan
 from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis
 from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium
@@ -35,6 +36,8 @@ from palpate.workers.organs.specimen.specimen_keys import PredictSpec, SpecimenS
 PREDICTION_STEP = 0.5
 # Fitted states whose sizes differ by a smaller factor show no trend.
 LIKE_SIZED = 2 / 3
+# Noise alone leaves a larger trend than one that is extrapolated with this probability.
+BY_CHANCE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +49,9 @@ class Prediction:
     name : str
         Name of the state.
     moved_mm, sd_mm : ndarray, shape (m,)
-        In the frame of the body. The standard deviation combines the uncertainty of the fitted
-        parameters and the unexplained residual, see `unexplained_sd`; the noise of a new recording
-        is not included.
+        In the frame of the body. The standard deviation of a recording from the prediction: the
+        uncertainty of the fitted parameters, the unexplained residual, see `unexplained_at`, and
+        the noise of one recording, see `RecordingNoise`.
     force_mm, force_sd_mm : ndarray, shape (c,)
         Predicted readings of the load cells, as displacements, with standard deviations.
     """
@@ -60,7 +63,41 @@ class Prediction:
     force_sd_mm: FloatArray
 
 
-def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[Prediction]:
+@dataclass(frozen=True)
+class RecordingNoise:
+    """Noise of one component of one point in a new recording.
+
+    Parameters
+    ----------
+    stated_mm : float
+        Standard deviation as stated.
+    recording_mm : float
+        The same, with the scatter between repeats of the fitted states.
+    """
+
+    stated_mm: float
+    recording_mm: float
+
+    def variance(self, inverse: InverseProblem, fit: Fit, moved: FloatArray) -> FloatArray:
+        """Return the variance of the noise in a state, of load cells as in the fitted states, (m,).
+
+        What repeats scatter beyond the stated noise grows in proportion to the displacement.
+        """
+        force = inverse.is_force
+        fitted = float(np.sqrt((_sizes(inverse, fit) ** 2).mean()))
+        further = max(1.0, _size(moved[~force]) / fitted) if fitted > 0 else 1.0
+        beyond = max(0.0, self.recording_mm**2 - self.stated_mm**2)
+        _, variance = _by_state(inverse, fit)
+        return np.where(force, variance.mean(axis=0), self.stated_mm**2 + further**2 * beyond)
+
+
+def predict(
+    inverse: InverseProblem,
+    fit: Fit,
+    states: Sequence[Scan],
+    ends: Sequence[FloatArray],
+    noise: RecordingNoise,
+) -> list[Prediction]:
     """Simulate other states of a body with the fitted parameters.
 
     Parameters
@@ -71,6 +108,9 @@ def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[P
         Fit of the constants and of any effects.
     states : sequence of Scan
         States whose residuals are relative to the body at rest.
+    ends : sequence of ndarray, shape (m,)
+        Variances that measured boundaries add to each state.
+    noise : RecordingNoise
 
     Raises
     ------
@@ -79,7 +119,7 @@ def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[P
     """
     spread, force = posterior_factor(inverse, fit), inverse.is_force
     predictions = []
-    for scan in states:
+    for scan, end in zip(states, ends, strict=True):
         view = _view(inverse, scan, fit, fit.z, None)
         parts = []
         for direction in PREDICTION_STEP * spread.T:
@@ -88,7 +128,8 @@ def predict(inverse: InverseProblem, fit: Fit, states: Sequence[Scan]) -> list[P
                 (_view(inverse, scan, fit, z, view.at).residual - view.residual) / PREDICTION_STEP
             )
         left = unexplained_at(inverse, fit, view.residual)
-        sd = np.sqrt((np.array(parts) ** 2).sum(axis=0) + left**2)
+        new = noise.variance(inverse, fit, view.residual)
+        sd = np.sqrt((np.array(parts) ** 2).sum(axis=0) + left**2 + end + new)
         moved, moved_sd = (components[~force] for components in (view.residual, sd))
         predictions.append(Prediction(scan.name, moved, moved_sd, view.residual[force], sd[force]))
     return predictions
@@ -111,24 +152,41 @@ def unexplained_sd(inverse: InverseProblem, fit: Fit) -> FloatArray:
 def unexplained_at(inverse: InverseProblem, fit: Fit, moved: FloatArray) -> FloatArray:
     """Return the standard deviation of the unexplained residual in another state, (m,).
 
-    The error of a wrong model is assumed to grow at least in proportion to the displacement. If
-    the fitted states differ in size, residuals that change with it are extrapolated, as
-    ``a s + b s^2`` for a state of size s.
+    The error of a wrong model is assumed to grow at least in proportion to the displacement, see
+    `_unexplained_trend`. Constants that were fitted to the readings of load cells leave them no
+    residual, so a force is known no better than the displacements are explained: an error of a
+    fifth of the displacements is also one of a fifth of the force.
     """
-    place = ~inverse.is_force
-    sizes = np.array(
-        [_size(_moved(inverse, prediction.points)[place]) for prediction in fit.predictions]
-    )
-    size, largest = _size(moved[place]), float(sizes.max())
+    force, size = inverse.is_force, _size(moved[~inverse.is_force])
+    sd = _unexplained_trend(inverse, fit, size)
+    share = _size(sd[~force]) / size if size > 0 else 0.0
+    return np.where(force, np.hypot(sd, share * moved), sd)
+
+
+def _unexplained_trend(inverse: InverseProblem, fit: Fit, size: float) -> FloatArray:
+    """Return the unexplained residual in a state of some root mean square displacement, (m,).
+
+    If the fitted states differ in size s, residuals that change with it beyond chance are
+    extrapolated, as ``a s + b s^2``; of forces as ``a s + b s^3``, because tissue stiffens.
+    """
+    sizes = _sizes(inverse, fit)
+    largest = float(sizes.max())
     if largest == 0:
         return unexplained_sd(inverse, fit)
     sd = max(1.0, size / largest) * unexplained_sd(inverse, fit)
     if size <= largest or sizes.min() > LIKE_SIZED * largest:
         return sd
-    weights = np.array([size, size**2]) @ np.linalg.pinv(np.column_stack([sizes, sizes**2]))
     residual, variance = _by_state(inverse, fit)
-    trend = (weights @ residual) ** 2 - weights**2 @ variance
-    return np.maximum(sd, _beyond_noise(inverse, trend[None]))
+    for part in np.unique(inverse.points.interface):
+        here, power = inverse.points.interface == part, 3 if part == FORCE else 2
+        weights = np.array([size, size**power]) @ np.linalg.pinv(
+            np.column_stack([sizes, sizes**power])
+        )
+        squares, noise = (weights @ residual[:, here]) ** 2, weights**2 @ variance[:, here]
+        if (squares / noise).sum() > chdtri(len(noise), BY_CHANCE):
+            trend = np.sqrt(max(0.0, float((squares - noise).mean())))
+            sd[here] = np.maximum(sd[here], trend)
+    return sd
 
 
 def _by_state(inverse: InverseProblem, fit: Fit) -> tuple[FloatArray, FloatArray]:
@@ -151,6 +209,14 @@ def _beyond_noise(inverse: InverseProblem, squares: FloatArray) -> FloatArray:
 
 def _moved(inverse: InverseProblem, points: FloatArray) -> FloatArray:
     return np.asarray(((points - inverse.points.points) * inverse.points.normals).sum(axis=1))
+
+
+def _sizes(inverse: InverseProblem, fit: Fit) -> FloatArray:
+    """Return the root mean square displacement in each fitted state, shape (s,)."""
+    place = ~inverse.is_force
+    return np.array(
+        [_size(_moved(inverse, prediction.points)[place]) for prediction in fit.predictions]
+    )
 
 
 def _size(moved_mm: FloatArray) -> float:
@@ -273,11 +339,12 @@ def predicted_states(
         PredictedState(
             prediction.name,
             tuple(
-                PredictedPoint(name, _triple(moved), _triple(sd))
-                for name, moved, sd in zip(
+                PredictedPoint(name, *(_triple(row) for row in rows))
+                for name, *rows in zip(
                     observed.names,
                     _spread(observed, prediction.moved_mm),
                     _spread(observed, prediction.sd_mm),
+                    *([observed.held_out_of(state, spec)] if state.files else []),
                     strict=True,
                 )
             ),

@@ -370,6 +370,11 @@ class LoadsSpec(Door):
         """Names of the loaded and moved regions."""
         return [one.region for one in self.forces] + [one.region for one in self.moves]
 
+    @property
+    def measured_moves(self) -> tuple[MoveSpec, ...]:
+        """The moves that the field prescribes."""
+        return tuple(move for move in self.moves if move.measured)
+
 
 class StateSpec(LoadsSpec):
     """A loaded state: its loads and recordings, one file for each repeat.
@@ -407,9 +412,24 @@ class PredictSpec(LoadsSpec):
     ----------
     name
         A name for the report.
+    files
+        Recordings of a held-out state, one for each repeat. They move the regions that move as
+        measured; all other points are only compared with the prediction.
     """
 
+    later_keys: ClassVar[tuple[str, ...]] = (*LoadsSpec.later_keys, "files")
+
     name: Annotated[str, Field(min_length=1)]
+    files: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _measured_by_files(self) -> Self:
+        if self.measured_moves and not self.files:
+            raise ValueError(
+                f"state {self.name}: {self.measured_moves[0].region} moves as measured, but "
+                "there is no recording: give files, or displacement_mm"
+            )
+        return self
 
 
 def no_repeats(what: str, names: Sequence[str]) -> None:
@@ -563,16 +583,26 @@ class SpecimenSpec(Door):
             raise ValueError("nothing holds the body: give holds, or move a region in each state")
         if self.field is None and any(m.measured for x in loads for m in x.moves):
             raise ValueError("measured: true needs a field; markers do not measure a boundary")
-        if any(m.measured for one in self.predict for m in one.moves):
-            raise ValueError("a state under predict was not measured: give displacement_mm")
         if self.body.sheet is None and any(x.pressure_kpa is not None for x in loads):
             raise ValueError("pressure_kpa inflates a sheet, but the body is not one: leave it out")
 
     @property
-    def measured_regions(self) -> tuple[str, ...]:
-        """Names of the regions that move as measured by the field in any state, each once."""
-        moves = (move for state in self.states for move in state.moves)
-        return tuple(dict.fromkeys(move.region for move in moves if move.measured))
+    def recorded(self) -> tuple[StateSpec | PredictSpec, ...]:
+        """All states that may have recordings, those to predict last."""
+        return (*self.states, *self.predict)
+
+    @property
+    def measured_moves(self) -> tuple[MoveSpec, ...]:
+        """The moves of all measured states that the field prescribes."""
+        return tuple(move for state in self.states for move in state.measured_moves)
+
+    @property
+    def stated_sd_mm(self) -> float:
+        """Stated error of one component of one point in one recording."""
+        stated = self.markers or self.field
+        if stated is None:
+            raise AssertionError("an experiment has markers or a field")
+        return float(np.hypot(stated.sd_mm, stated.common_sd_mm or 0.0))
 
     @property
     def moved_regions(self) -> tuple[str, ...]:

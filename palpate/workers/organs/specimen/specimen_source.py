@@ -47,6 +47,7 @@ from palpate.workers.organs.specimen.mesh_and_boundary_errors import (
 )
 from palpate.workers.organs.specimen.observed_and_predicted import (
     COMPONENTS,
+    RecordingNoise,
     marker_states,
     predict,
     predicted_states,
@@ -121,6 +122,8 @@ class SpecimenSource:
     def from_content(cls, content: SourceContent) -> "SpecimenSource":
         """Restore an experiment from stored content."""
         record, arrays = content.record, content.arrays
+        spec = validated(SpecimenSpec, record["spec"], "The experiment")
+        unseen = np.full((len(spec.predict), *arrays["points_mm"].shape), np.nan)
         observed = Observed(
             points_mm=arrays["points_mm"],
             names=tuple(record["names"]),
@@ -131,10 +134,12 @@ class SpecimenSource:
             repeats_mm=tuple(arrays["repeats_mm"].tolist()),
             boundary_mm=arrays["boundary_mm"],
             boundary_moved_mm=arrays["boundary_moved_mm"],
+            held_out_points_mm=arrays.get("held_out_points_mm", arrays["points_mm"]),
+            held_out_mm=arrays.get("held_out_mm", unseen),
+            recording_sd_mm=record.get("recording_sd_mm", record["sd_mm"]),
             notes=tuple(record.get("notes", ())),
             scatter=record.get("scatter", ""),
         )
-        spec = validated(SpecimenSpec, record["spec"], "The experiment")
         return cls(spec, observed, content.volumes.get(BODY))
 
     @property
@@ -146,6 +151,7 @@ class SpecimenSource:
             "names": list(observed.names),
             "sd_mm": observed.sd_mm,
             "misfit_mm": observed.misfit_mm,
+            "recording_sd_mm": observed.recording_sd_mm,
             "notes": list(observed.notes),
             "scatter": observed.scatter,
         }
@@ -156,6 +162,8 @@ class SpecimenSource:
             "repeats_mm": np.array(observed.repeats_mm, np.float64),
             "boundary_mm": observed.boundary_mm,
             "boundary_moved_mm": observed.boundary_moved_mm,
+            "held_out_points_mm": observed.held_out_points_mm,
+            "held_out_mm": observed.held_out_mm,
         }
         return SourceContent(self.kind, record, {} if voxels is None else {BODY: voxels}, arrays)
 
@@ -268,9 +276,7 @@ class SpecimenSource:
         softer : float
             Factor by which the stiffness is multiplied; see `part_of_compliance`.
         """
-        measured = {}
-        if isinstance(loads, StateSpec):
-            measured = self.observed.boundary_of(self.scans.index(loads.name), self.spec)
+        measured = self.observed.boundary_of(loads, self.spec) if loads.measured_moves else {}
         return partial(_problem, self.spec, loads, self.body.wall_mm, measured, softer)
 
     def predictions(self, inverse: InverseProblem, fit: Fit) -> tuple[PredictedState, ...]:
@@ -290,7 +296,15 @@ class SpecimenSource:
         softer = self.part_of_compliance(len(inverse.model.finest.nodes))
         still = Components(np.zeros(len(inverse.points)))
         states = [Scan(s.name, self.problem(s, softer), still) for s in self.spec.predict]
-        found = predict(inverse, fit, states)
+        constants, ends = fit.unknowns.constants(fit.z), []
+        for spec, state in zip(self.spec.predict, states, strict=True):
+            variance = np.zeros(len(inverse.points))
+            if spec.measured_moves:
+                added = self._boundary_noise(inverse, [state.problem(constants)])
+                variance = np.diag(added)
+            ends.append(variance)
+        noise = RecordingNoise(self.spec.stated_sd_mm, self.observed.recording_sd_mm)
+        found = predict(inverse, fit, states, ends, noise)
         return predicted_states(self.observed, self.spec, self.load_cells, found)
 
     def describe(
@@ -394,17 +408,19 @@ class SpecimenSource:
 
     def _with_boundary_noise(self, problem: InverseProblem) -> InverseProblem:
         """Add the noise of measured boundaries; see `mesh_and_boundary_errors`."""
-        if not self.spec.measured_regions:
+        if not self.spec.measured_moves:
             return problem
+        problems = [self.problem(state)(self._middle) for state in self.spec.states]
+        added = self._boundary_noise(problem, problems)
+        return replace(problem, covariance=problem.covariance + added)
 
+    def _boundary_noise(self, inverse: InverseProblem, problems: Sequence[Problem]) -> FloatArray:
         def compared(moved_mm: FloatArray) -> FloatArray:
-            along = (problem.at_points @ moved_mm) * problem.points.normals
+            along = (inverse.at_points @ moved_mm) * inverse.points.normals
             return np.asarray(along.sum(axis=1))
 
-        problems = [self.problem(state)(self._middle) for state in self.spec.states]
         sd_mm = self.observed.sd_mm
-        added = boundary_covariance(problem.forward, problem.model, compared, problems, sd_mm)
-        return replace(problem, covariance=problem.covariance + added)
+        return boundary_covariance(inverse.forward, inverse.model, compared, problems, sd_mm)
 
 
 def components(points_mm: FloatArray, measured: BoolArray) -> InterfacePoints:

@@ -134,7 +134,7 @@ def test_content_restores_the_boundary(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"predict": [{"name": "more", "moves": MEASURED}]}, "under predict was not measured"),
+        ({"predict": [{"name": "more", "moves": MEASURED}]}, "but there is no recording"),
         ({"regions": ENDS | {"top": {"plane": {"axis": "z", "at_mm": 48}}}}, "0 points of the"),
         ({"predict": [{"name": "free"}]}, "nothing holds the body"),
     ],

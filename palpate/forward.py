@@ -33,9 +33,10 @@ class Breast:
         Simulate even though the body or the load looks implausible.
     **keys
         Keys below ``case`` in a study file, without the name of their section: ``nodes`` or
-        ``element_size_mm``; ``force_n`` or ``plate_distance_mm``, ``oblique_deg``, ``moving``;
-        ``skin``, ``skin_thickness_mm``, ``fibres``, ``fibre_invariant``, ``law``; ``labels`` of a
-        volume; and held constants, such as ``nu=0.48``. The defaults are the same as in a study.
+        ``element_size_mm``; ``force_n`` or ``plate_distance_mm``, ``oblique_deg``, ``moving``,
+        ``fixed_plate_holds_x``; ``skin``, ``skin_thickness_mm``, ``fibres``, ``fibre_invariant``,
+        ``law``; ``labels`` of a volume; and held constants, such as ``nu=0.48``. The defaults are
+        the same as in a study.
 
     Raises
     ------

@@ -29,8 +29,8 @@ def search_chapter(found: SearchResult, cost: Cost | None, scale: Scale) -> Chap
         "without skin for five phantoms each, X3 with skin for five.",
         f"The same targets, bounds and stop rule through the studies of `palpate run`: strategy "
         f"{_effort(found)}, {count(found.nodes)} nodes, voxels of {found.spacing_mm:g} mm, "
-        f"{SEARCH_FORCE_N[scale]:g} N. Target and candidates share one mesh, so errors "
-        "exclude the mesh.",
+        f"{SEARCH_FORCE_N[scale]:g} N, nodes already in contact with the fixed plate held along x "
+        "(4.5.4). Target and candidates share one mesh, so errors exclude the mesh.",
         tables=tables,
         pictures=[
             picture(

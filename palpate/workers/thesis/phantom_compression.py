@@ -187,7 +187,7 @@ def case_of(target: TargetName, number: int, scale: Scale) -> dict[str, Any]:
         "reference": {"phantom": phantom},
         "mesh": {"nodes": SEARCH_NODES[scale]},
         "model": {"skin": "membrane" if target == "X3" else "none"},
-        "load": {"force_n": SEARCH_FORCE_N[scale]},
+        "load": {"force_n": SEARCH_FORCE_N[scale], "fixed_plate_holds_x": True},
         "constants": {"nu": 0.49},
     }
 

@@ -233,9 +233,13 @@ class LoadSpec(Door):
         45 mediolateral oblique.
     moving
         The plates that move: the upper one, or both.
+    fixed_plate_holds_x
+        Hold the skin that touches the fixed lower plate before compression along x, as the thesis
+        does (4.5.4). By default it slides.
     """
 
     exactly_one: ClassVar[Pairs] = (("force_n", "plate_distance_mm"),)
+    later_keys: ClassVar[tuple[str, ...]] = ("fixed_plate_holds_x",)
 
     force_n: Positive | None = Field(default=None, description="the force on the plates, in N")
     plate_distance_mm: PlateDistance | None = Field(
@@ -245,10 +249,27 @@ class LoadSpec(Door):
     )
     oblique_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
     moving: Literal["upper", "both"] = "upper"
+    fixed_plate_holds_x: bool = False
+
+    @model_validator(mode="after")
+    def _plate_can_hold(self) -> Self:
+        if self.fixed_plate_holds_x and (self.moving == "both" or self.oblique_deg):
+            oblique = f"oblique_deg: {self.oblique_deg:g}"
+            stated = "moving: both" if self.moving == "both" else oblique
+            raise ValueError(
+                f"fixed_plate_holds_x needs a plate that is fixed and normal to y, but {stated} is "
+                "given: remove one of the two"
+            )
+        return self
 
     @property
     def text(self) -> str:
         """Return a description of the compression."""
+        held = "; the fixed one holds skin that it touches at rest along x"
+        return self._text + held if self.fixed_plate_holds_x else self._text
+
+    @property
+    def _text(self) -> str:
         turned = f", turned by {self.oblique_deg:g} degrees" if self.oblique_deg else ""
         if self.force_n is not None:
             return f"{self.force_n:g} N, from where the body at rest ends{turned}"

@@ -15,9 +15,11 @@ from palpate.storage.values import Tissue, Triple, Volume
 from palpate.workers.body.mesh.body_outline import skin_thickness_mm
 from palpate.workers.mechanics.fem.boundary_value_problem import Constants, Frame, Membrane, Problem
 from palpate.workers.mechanics.fem.loads_and_regions import (
+    Box,
     Device,
     DistanceControl,
     ForceControl,
+    Hold,
     Load,
     Pressed,
 )
@@ -29,6 +31,9 @@ Extent = tuple[float, float]
 """Start and end along the axis of compression, in mm."""
 
 UNIT_FRAME = Frame()
+# The body touches a plate where it is no further away, so that a round body touches in an area
+# and not in one node.
+TOUCHING_MM = 0.5
 _EFFECT_NAMES = tuple(name for name in BREAST_MODEL.names if name not in BREAST)
 
 
@@ -90,6 +95,7 @@ def problem_of(
         membrane=membrane if model.skin == "membrane" else None,
         literal_fibre=model.fibres == "literal",
         isochoric_fibre=model.fibre_invariant == "isochoric",
+        holds=(held_at_plate(frame),) if load.fixed_plate_holds_x else (),
     )
     return CATALOGUE.apply(problem, effects, frame)
 
@@ -119,6 +125,13 @@ def plates_of(
         raise AssertionError("plates need a final distance or two final positions")
     centre = sum(body if target is None else target) / 2
     return DistanceControl(centre - distance.final / 2, centre + distance.final / 2, device)
+
+
+def held_at_plate(frame: Frame) -> Hold:
+    """Return the hold along x of the nodes already in contact with the lower plate (4.5.4)."""
+    lowest_mm = frame.centre_mm[1] - frame.half_mm[1]
+    touching = Box((-np.inf,) * 3, (np.inf, lowest_mm + TOUCHING_MM, np.inf))
+    return Hold(touching, axes=(True, False, False))
 
 
 def compression_axis(oblique_deg: float) -> Triple:

@@ -21,11 +21,10 @@ from palpate.service.results.results_from_journal import study_results
 from palpate.service.study.loop import Study
 from palpate.study import study_spec
 from palpate.workers.organs.organ_plugins import organ_named, organ_spec
-from palpate.workers.thesis.thesis_eyes import TABLE_5_1, TABLE_5_2
+from palpate.workers.thesis.thesis_eyes import EYE_BOUNDS, TABLE_5_1, TABLE_5_2
 
 CASE: dict[str, Any] = {"organ": "cornea", "mesh": {"elements": 960}}
 REPEATS = 5
-BOUNDS = {"mu1_pa": [1, 40_000], "alpha1": [0.1, 100], "mu2_pa": [1, 40_000], "alpha2": [0.1, 100]}
 
 
 def main() -> None:
@@ -69,7 +68,12 @@ def search_line(workers: int) -> str:
             "name": "benchmark",
             "case": CASE,
             "target": {"constants": TABLE_5_1[0].target._asdict(), "mesh": {"elements": 2880}},
-            "search": {"parameters": BOUNDS, "population": 84, "generations": 15, "stall": None},
+            "search": {
+                "parameters": EYE_BOUNDS,
+                "population": 84,
+                "generations": 15,
+                "stall": None,
+            },
         }
     )
     with tempfile.TemporaryDirectory() as folder, open_cluster(None, workers) as cluster:

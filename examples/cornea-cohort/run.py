@@ -14,7 +14,6 @@ import argparse
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import typer
@@ -33,17 +32,17 @@ from palpate.workers.organs.organ_protocol import Scores
 from palpate.workers.thesis.thesis_eyes import (
     AVERAGE_CORNEA_JC,
     AVERAGE_CORNEA_MHD_UM,
+    EYE_BOUNDS,
     PRINTED_AVERAGE,
     TABLE_5_2,
     CohortEye,
     OgdenConstants,
+    case_of_eye,
 )
 
-# A cornea is thicker at the limbus; the table prints the centre alone.
-THICKER_AT_LIMBUS_MM = 0.105
 # Of each candidate that is fitted, at most.
 FIT_EVALUATIONS = 40
-MU_PA, ALPHA = [1, 40_000], [0.1, 100]
+ELEMENTS = 960
 
 
 def main() -> None:
@@ -84,7 +83,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, help="processes of this machine")
     parser.add_argument("--at-once", type=int, default=3, help="studies in flight")
     parser.add_argument("--eyes", type=int, default=len(TABLE_5_2), help="the first so many")
-    parser.add_argument("--elements", type=int, default=960, help="6-node triangles of an eye")
+    parser.add_argument("--elements", type=int, default=ELEMENTS, help="6-node triangles of an eye")
     parser.add_argument("--strategy", default="genetic+least-squares", help="or genetic alone")
     parser.add_argument("--population", type=int, default=30, help="84 in the thesis")
     parser.add_argument("--generations", type=int, default=2, help="15 in the thesis")
@@ -97,26 +96,15 @@ def name_of(eye: CohortEye) -> str:
     return f"{eye.patient:02}-{eye.side}"
 
 
-def case_of(eye: CohortEye) -> dict[str, Any]:
-    """Return the case of an eye: its pachymetry and IOP, and the jet of 15 kPa."""
-    centre_mm = eye.pachymetry_um / 1000
-    thickness = {"central_mm": centre_mm, "peripheral_mm": centre_mm + THICKER_AT_LIMBUS_MM}
-    return {
-        "organ": "cornea",
-        "reference": {"section": thickness},
-        "load": {"iop_mmhg": eye.iop_mmhg, "jet": {"pressure_kpa": 15}},
-    }
-
-
 def spec_of(eye: CohortEye, wanted: argparse.Namespace) -> StudySpec:
     """Return the study of an eye."""
     return study_spec(
         {
             "name": name_of(eye),
-            "case": case_of(eye) | {"mesh": {"elements": wanted.elements}},
+            "case": case_of_eye(eye, wanted.elements),
             "target": {"constants": eye.constants._asdict()},
             "search": {
-                "parameters": {"mu1_pa": MU_PA, "alpha1": ALPHA, "mu2_pa": MU_PA, "alpha2": ALPHA},
+                "parameters": EYE_BOUNDS,
                 "strategy": wanted.strategy,
                 "population": wanted.population,
                 "generations": wanted.generations,
@@ -170,7 +158,7 @@ def average_table(eyes: tuple[CohortEye, ...]) -> Iterator[str]:
 def average_score(eye: CohortEye) -> Scores | None:
     """Return how alike an eye is to itself with the average constants; None if one diverges."""
     organ = organ_named("cornea")
-    case = organ_spec("cornea").case.model_validate(case_of(eye))
+    case = organ_spec("cornea").case.model_validate(case_of_eye(eye, ELEMENTS))
     body = organ.make_body(case.reference)
     mesh = organ.make_mesh(body, case)
     model, middle = organ.prepare(mesh), organ.landmarks(body, case)

@@ -113,11 +113,13 @@ def parts_of(experiment: str, store: str, scale: str) -> list[Request]:
 
 def kind_of(run: SearchRun) -> str:
     """Return the kind of a search under which its time is recorded."""
-    return f"search, {run.target}, {run.spec.search.strategy}"
+    return f"{run.experiment}, {run.target}, {run.spec.search.strategy}"
 
 
 def _kind_of_one(run: SearchRun) -> str:
     """Return the kind of the part that does the same work as one candidate of a search."""
+    if run.experiment == "cornea":
+        return "candidate, cornea"
     return f"vary, {'X3' if run.target == 'X3' else 'X1'}"
 
 

@@ -7,6 +7,7 @@ from palpate.service.number_formatting import count, duration, number, symbol
 from palpate.service.report.page.page_elements import picture
 from palpate.service.thesis import chapter_elements, printed_results
 from palpate.service.thesis.chapter_elements import Chapter, Table, Text, cost_rows
+from palpate.service.thesis.printed_results import Estimated
 from palpate.service.thesis.thesis_experiments import SHOWN_PHANTOM
 from palpate.service.thesis.thesis_results import Cost, FoundSearch, SearchResult, Varied
 from palpate.workers.thesis.phantom_compression import SEARCH_FORCE_N, TARGETS, Scale, TargetName
@@ -71,7 +72,7 @@ def _verdict(found: SearchResult) -> str:
 
 def _estimates(target: TargetName, searches: Sequence[FoundSearch]) -> Table:
     table = printed_results.SEARCHES[target]
-    theirs = {row.phantom: row for row in table.rows}
+    theirs: dict[int | None, Estimated] = {row.phantom: row for row in table.rows}
     rows: list[list[Text]] = [
         ["target", *(number(v) for v in TARGETS[target].values()), "1", "0", "0", ""]
     ]

@@ -17,6 +17,7 @@ from palpate.service.number_formatting import count, duration
 from palpate.service.report.page.page_elements import filled
 from palpate.service.thesis import (
     coefficient_chapter,
+    cornea_chapter,
     mammogram_chapter,
     mesh_chapter,
     printed_results,
@@ -67,6 +68,8 @@ def chapters_of(results: ThesisResults, store: str) -> list[Chapter]:
         made.append(
             search_chapter.sensitivity_chapter(results.sensitivity, costs.get("sensitivity"))
         )
+    if results.cornea is not None:
+        made.append(cornea_chapter.chapter(results.cornea, costs.get("cornea"), scale))
     return made
 
 
@@ -80,7 +83,7 @@ def context(results: ThesisResults, store: str) -> dict[str, Any]:
         "verdict": _headline(ran),
         "lead": (
             "M. A. Lago, A new approach for the in-vivo characterization of the biomechanical "
-            "behavior of the breast and the cornea, UPV 2014, chapters 3 and 4. "
+            "behavior of the breast and the cornea, UPV 2014, chapters 3 to 5. "
             + SCALE_WORDS[results.scale]
         ),
         "tiles": _tiles(results, ran),

@@ -7,6 +7,7 @@
     mammogram      compressions > mammograms
     search         the searches of section 4.5 as studies, each in a separate folder
     sensitivity    variation of every constant
+    cornea         the searches of Table 5.1, as studies
 
 Running continues the experiments from their current state.
 """
@@ -67,8 +68,16 @@ from palpate.workers.thesis.phantom_compression import (
     case_of,
     runs_at,
 )
+from palpate.workers.thesis.thesis_eyes import (
+    EYE_BOUNDS,
+    EYE_ELEMENTS,
+    FINER_TARGET,
+    TABLE_5_1,
+    SyntheticEye,
+    case_of_eye,
+)
 
-Experiment = Literal["coefficients", "mesh-quality", "mammogram", "search", "sensitivity"]
+Experiment = Literal["coefficients", "mesh-quality", "mammogram", "search", "sensitivity", "cornea"]
 EXPERIMENTS: tuple[Experiment, ...] = get_args(Experiment)
 LAWS: tuple[LawName, ...] = get_args(LawName)
 PRESSED_ON: tuple[MeshKind, ...] = ("adaptive", "homogeneous")
@@ -111,6 +120,7 @@ def phases_of(experiment: Experiment, store: str, scale: Scale) -> list[Phase]:
         "mammogram": _mammogram,
         "search": lambda *_: [],
         "sensitivity": _sensitivity,
+        "cornea": lambda *_: [],
     }[experiment]
     return make(store, scale)
 
@@ -183,6 +193,10 @@ GENETIC, POLISHED = "genetic", "genetic+least-squares"
 POPULATION: dict[Scale, int] = {"sketch": 6, "reduced": 30, "full": 84}
 GENERATIONS: dict[Scale, int] = {"sketch": 2, "reduced": 12, "full": 15}
 ELITE = 2
+# Four Ogden constants lie in a narrow valley, along which derivatives lead.
+EYE_POPULATION: dict[Scale, int] = {"sketch": 8, "reduced": 40, "full": 84}
+EYE_GENERATIONS: dict[Scale, int] = {"sketch": 2, "reduced": 3, "full": 15}
+EYE_STARTS: dict[Scale, int] = {"sketch": 1, "reduced": 3, "full": 3}
 
 
 @dataclass(frozen=True)
@@ -191,18 +205,27 @@ class SearchRun:
 
     Parameters
     ----------
+    experiment : {"search", "cornea"}
     target : str
         X1, X2 or X3.
-    phantom : int
+    phantom : int or None
+        None for a cornea.
     spec : StudySpec
     folder : Path
         Named after the study and the code, so that newer code starts a new study.
     """
 
+    experiment: Experiment
     target: TargetName
-    phantom: int
+    phantom: int | None
     spec: StudySpec
     folder: Path
+
+    @property
+    def title(self) -> str:
+        """Return the name of the search."""
+        body = "cornea" if self.phantom is None else f"phantom {self.phantom}"
+        return f"{self.target}, {body}"
 
     @property
     def most_evaluations(self) -> int:
@@ -250,15 +273,58 @@ def study_of_run(target: TargetName, phantom: int, scale: Scale, strategy: str) 
     return validated(StudySpec, record, f"The search of {target}, phantom {phantom}")
 
 
+def study_of_eye(eye: SyntheticEye, scale: Scale, strategy: str) -> StudySpec:
+    """Return the study of one half of Table 5.1; its target has a finer mesh.
+
+    Raises
+    ------
+    InputError
+        If the strategy is unknown.
+    """
+    search: dict[str, Any] = {
+        "parameters": EYE_BOUNDS,
+        "strategy": strategy,
+        "population": EYE_POPULATION[scale],
+        "generations": EYE_GENERATIONS[scale],
+        "elite": ELITE,
+        "stall": None,
+        "starts": EYE_STARTS[scale],
+        "fit_evaluations": 40,
+    }
+    mesh = {"elements": FINER_TARGET * EYE_ELEMENTS[scale]}
+    record = {
+        "name": f"{eye.name}-cornea",
+        "case": case_of_eye(eye, EYE_ELEMENTS[scale]),
+        "target": {"constants": eye.target._asdict(), "mesh": mesh},
+        "search": search,
+        "seed": 1,
+    }
+    return validated(StudySpec, record, f"The search of {eye.name}, cornea")
+
+
 def search_runs(folder: Path, scale: Scale, strategy: str) -> list[SearchRun]:
     """Return all searches of a scale, with their folders below `folder`."""
-    runs = []
-    for target, phantom in runs_at(scale):
-        spec = study_of_run(target, phantom, scale, strategy)
-        short = digest(spec.digest, versions()["code"])[:8]
-        home = folder / "studies" / scale / f"{target}-phantom-{phantom}-{short}"
-        runs.append(SearchRun(target, phantom, spec, home))
-    return runs
+    home = folder / "studies" / scale
+    return [
+        _run_of("search", target, phantom, study_of_run(target, phantom, scale, strategy), home)
+        for target, phantom in runs_at(scale)
+    ]
+
+
+def eye_runs(folder: Path, scale: Scale, strategy: str) -> list[SearchRun]:
+    """Return the searches of Table 5.1, with their folders below `folder`."""
+    home = folder / "studies" / scale
+    return [
+        _run_of("cornea", eye.name, None, study_of_eye(eye, scale, strategy), home)
+        for eye in TABLE_5_1
+    ]
+
+
+def _run_of(
+    experiment: Experiment, target: TargetName, phantom: int | None, spec: StudySpec, home: Path
+) -> SearchRun:
+    short = digest(spec.digest, versions()["code"])[:8]
+    return SearchRun(experiment, target, phantom, spec, home / f"{spec.name}-{short}")
 
 
 Counted = Callable[[SearchRun, int], object]
@@ -316,10 +382,14 @@ class ThesisRequest:
 
     @property
     def searches(self) -> list[SearchRun]:
-        """Return the searches; none if they are not requested."""
-        if "search" not in self.experiments:
-            return []
-        return search_runs(self.folder, self.scale, self.strategy)
+        """Return the searches of all requested experiments."""
+        runs = {"search": search_runs, "cornea": eye_runs}
+        wanted = [make for experiment, make in runs.items() if experiment in self.experiments]
+        return [r for make in wanted for r in make(self.folder, self.scale, self.strategy)]
+
+    def searches_of(self, experiment: Experiment) -> list[SearchRun]:
+        """Return the searches of one experiment, if it is requested."""
+        return [run for run in self.searches if run.experiment == experiment]
 
 
 @dataclass(frozen=True)
@@ -375,18 +445,17 @@ def run_thesis(request: ThesisRequest, dispatcher: Dispatcher, observe: Observe)
                 spent = value_of(ending, ending.key)
                 done += 1
                 observe(Step(experiment, phase.title, done, of, ending.key, spent.cpu_s))
-        if experiment == "search":
-            for run in request.searches:
-                _run_searches(run, request.store, dispatcher, observe)
+        for run in request.searches_of(experiment):
+            _run_searches(run, request.store, dispatcher, observe)
 
 
 def _run_searches(run: SearchRun, store: Place, dispatcher: Dispatcher, observe: Observe) -> None:
     if run.is_finished:
         return
-    title = f"searching {run.target}, phantom {run.phantom}"
+    title = f"searching {run.title}"
 
     def counted(search: SearchRun, ended: int) -> None:
         label = f"{ended} candidates" if ended else ""
-        observe(Step("search", title, ended, search.most_evaluations, label))
+        observe(Step(run.experiment, title, ended, search.most_evaluations, label))
 
     run_search(run, store, dispatcher, counted)

@@ -13,6 +13,7 @@ from palpate.service.results.result_records import StudyResults
 from palpate.service.thesis.remaining_time import parts_of
 from palpate.service.thesis.thesis_experiments import (
     Experiment,
+    SearchRun,
     ThesisRequest,
     comparisons,
     compressions,
@@ -44,6 +45,7 @@ from palpate.workers.thesis.phantom_compression import (
     TargetName,
     View,
 )
+from palpate.workers.thesis.thesis_eyes import OgdenConstants
 
 
 @dataclass(frozen=True)
@@ -145,10 +147,10 @@ class FoundConstant:
 
 @dataclass(frozen=True)
 class FoundSearch:
-    """A completed search."""
+    """A completed search; of a cornea it has no phantom and no voxels."""
 
     target: TargetName
-    phantom: int
+    phantom: int | None
     constants: tuple[FoundConstant, ...]
     jc: float | None
     mhd_mm: float | None
@@ -221,6 +223,16 @@ class ThesisResults:
     mammograms: tuple[Exposed, ...] | None = None
     search: SearchResult | None = None
     sensitivity: tuple[Varied, ...] | None = None
+    cornea: tuple[FoundSearch, ...] | None = None
+
+
+def shear_modulus_error(found: FoundSearch) -> float:
+    """Return the relative error of a cornea's shear modulus at rest, 1/2 sum mu alpha."""
+    estimate, target = (
+        OgdenConstants(*values).shear_modulus_mpa
+        for values in zip(*((c.estimate, c.target) for c in found.constants), strict=True)
+    )
+    return estimate / target - 1
 
 
 def thesis_results(request: ThesisRequest) -> ThesisResults:
@@ -236,12 +248,13 @@ def thesis_results(request: ThesisRequest) -> ThesisResults:
         mammograms=_mammograms(store, scale) if "mammogram" in whole else None,
         search=_search(request) if "search" in whole else None,
         sensitivity=_sensitivity(store, scale) if "sensitivity" in whole else None,
+        cornea=_finished(request.searches_of("cornea")) if "cornea" in whole else None,
     )
 
 
 def _is_whole(experiment: Experiment, request: ThesisRequest) -> bool:
-    if experiment == "search":
-        return any(run.is_finished for run in request.searches)
+    if experiment in ("search", "cornea"):
+        return any(run.is_finished for run in request.searches_of(experiment))
     parts = parts_of(experiment, str(request.store), request.scale)
     return all(part.part.is_finished for part in parts)
 
@@ -254,10 +267,9 @@ def _cost(experiment: Experiment, request: ThesisRequest) -> Cost | None:
     ]
     seconds = [p.cpu_s for p in parts]
     machines = {p.machine for p in parts}
-    if experiment == "search":
-        for _, results in finished_search(request.searches):
-            seconds.append(sum(time.total_s for time in results.stages.values()))
-            machines.add(machine())
+    for _, results in finished_search(request.searches_of(experiment)):
+        seconds.append(sum(time.total_s for time in results.stages.values()))
+        machines.add(machine())
     if not seconds:
         return None
     return Cost(sum(seconds), max(seconds), len(seconds), "; ".join(sorted(machines)))
@@ -319,7 +331,7 @@ def _mammograms(store: str, scale: Scale) -> tuple[Exposed, ...]:
 
 
 def _search(request: ThesisRequest) -> SearchResult:
-    runs = request.searches
+    runs = request.searches_of("search")
     spec = runs[0].spec
     case: Any = spec.case.model_dump()
     return SearchResult(
@@ -328,13 +340,15 @@ def _search(request: ThesisRequest) -> SearchResult:
         generations=spec.search.generations,
         nodes=case["mesh"]["nodes"],
         spacing_mm=case["reference"]["phantom"]["spacing_mm"],
-        searches=tuple(
-            _found(run.target, run.phantom, results) for run, results in finished_search(runs)
-        ),
+        searches=_finished(runs),
     )
 
 
-def _found(target: TargetName, phantom: int, results: StudyResults) -> FoundSearch:
+def _finished(runs: list[SearchRun]) -> tuple[FoundSearch, ...]:
+    return tuple(_found(run.target, run.phantom, results) for run, results in finished_search(runs))
+
+
+def _found(target: TargetName, phantom: int | None, results: StudyResults) -> FoundSearch:
     score: Mapping[str, Any] = results.best_score or {}
     counts = results.counts
     ended = counts.done + counts.diverged + counts.crashed + counts.lost

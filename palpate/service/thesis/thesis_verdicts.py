@@ -1,4 +1,4 @@
-"""Verdicts on every number of chapters 3 and 4 of the thesis: printed and ours."""
+"""Verdicts on every number of chapters 3 to 5 of the thesis: printed and ours."""
 
 import math
 from collections.abc import Iterator
@@ -13,9 +13,11 @@ from palpate.service.thesis.thesis_results import (
     MeanCompression,
     MeshResult,
     ThesisResults,
+    shear_modulus_error,
 )
 from palpate.workers.thesis.coefficient_choice import GROUPS
 from palpate.workers.thesis.phantom_compression import TARGETS, Scale, View
+from palpate.workers.thesis.thesis_eyes import AVERAGE_CORNEA_JC, TABLE_5_1, TABLE_5_2
 
 Word = Literal["reproduced", "approached", "not reproduced", "cannot be", "not run"]
 # A number is reproduced within 10 %, or if less is better and it is not larger; approached
@@ -112,7 +114,7 @@ VOLUMES: dict[Scale, float] = {"sketch": 8.0, "reduced": 8.0, "full": 1.0}
 
 
 def verdicts(results: ThesisResults) -> list[Verdict]:
-    """Return the verdict on every number of chapters 3 and 4, in the order of the thesis.
+    """Return the verdict on every number of chapters 3 to 5, in the order of the thesis.
 
     Numbers that cannot be compared are included if their experiment was run.
     """
@@ -125,6 +127,7 @@ def verdicts(results: ThesisResults) -> list[Verdict]:
         (_search, results.search is not None),
         (_sensitivity, results.sensitivity is not None),
         (_beyond, whole),
+        (_cornea, results.cornea is not None),
     )
     return [v for judge, ran in parts for v in judge(results) if ran or v.word == "not run"]
 
@@ -303,6 +306,39 @@ def _sensitivity(results: ThesisResults) -> Iterator[Verdict]:
     good = None if most is None else most < printed_results.MOST_MHD_VOXELS
     wanted, shown = f"< {printed_results.MOST_MHD_VOXELS:g}", f"≤ {number(most, 3)}"
     yield holds(place, f"MHD {what}, voxels", wanted, good, shown, why)
+
+
+def _cornea(results: ThesisResults) -> Iterator[Verdict]:
+    valley = (
+        "one deformed section determines one combination of the four constants; others deform it "
+        "alike"
+    )
+    found = {search.target: search for search in results.cornea or ()}
+    for eye in TABLE_5_1:
+        ours = found.get(eye.name)
+        for column, name in enumerate(eye.target._fields):
+            what = f"error of {name.removesuffix('_pa')}, {eye.name}"
+            theirs = eye.printed_errors_percent[column] / 100
+            error = None if ours is None else ours.constants[column].error
+            yield at_most("Table 5.1", what, theirs, error, "%", valley)
+        theirs, error = eye.shear_modulus_error, None if ours is None else shear_modulus_error(ours)
+        what, size = f"error of G0, {eye.name}", None if error is None else abs(error)
+        yield at_most("Table 5.1", what, abs(theirs), size, "%", "the target has a finer mesh")
+        mhd_um = None if ours is None or ours.mhd_mm is None else 1000 * ours.mhd_mm
+        yield at_most("Table 5.1", f"MHD, {eye.name}", eye.mhd_um, mhd_um, "µm")
+        jc = None if ours is None else ours.jc
+        good, shown = (None, "–") if jc is None else (jc >= eye.jc, number(jc, 4))
+        yield holds("Table 5.1", f"JC, {eye.name}", f"≥ {eye.jc}", good, shown)
+    unpublished = "the images of the eyes are not published"
+    what = f"constants, JC and MHD of {len(TABLE_5_2)} eyes"
+    ours_text = "eyes rebuilt from them: examples/cornea-cohort/run.py"
+    rows = (
+        ("Table 5.2", what, "24 rows", ours_text, unpublished),
+        ("5.5", "JC of the average cornea", f"{AVERAGE_CORNEA_JC[0]}", ours_text, unpublished),
+        ("5.3", "jet", "15 mmHg", "15 kPa", "with 15 mmHg no cornea turns concave"),
+    )
+    for place, what, printed_there, shown, why in rows:
+        yield Verdict(place, what, printed_there, shown, "cannot be", why)
 
 
 def _figure(place: str, what: str, printed_there: str, why: str) -> Verdict:

@@ -4,7 +4,9 @@ M. A. Lago, PhD thesis, Universitat Politecnica de Valencia, 2014, Tables 5.1 an
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
+
+from palpate.workers.thesis.phantom_compression import Scale
 
 
 class OgdenConstants(NamedTuple):
@@ -27,7 +29,7 @@ class SyntheticEye:
 
     Parameters
     ----------
-    name : str
+    name : {"X1", "X2"}
     target, estimate : OgdenConstants
     printed_errors_percent : OgdenConstants
         Relative errors as printed, rounded by hand in places.
@@ -36,7 +38,7 @@ class SyntheticEye:
     iop_mmhg, pachymetry_um : float
     """
 
-    name: str
+    name: Literal["X1", "X2"]
     target: OgdenConstants
     estimate: OgdenConstants
     printed_errors_percent: OgdenConstants
@@ -44,6 +46,11 @@ class SyntheticEye:
     mhd_um: float
     iop_mmhg: float = 10.5
     pachymetry_um: float = 595.0
+
+    @property
+    def shear_modulus_error(self) -> float:
+        """Relative error of the printed estimate's shear modulus at rest."""
+        return self.estimate.shear_modulus_mpa / self.target.shear_modulus_mpa - 1
 
 
 @dataclass(frozen=True)
@@ -91,6 +98,36 @@ TABLE_5_1 = (
         mhd_um=4.8,
     ),
 )
+
+# The thesis prints no bounds; these include every constant of Table 5.2.
+EYE_BOUNDS: dict[str, tuple[float, float]] = {
+    "mu1_pa": (1.0, 40_000.0),
+    "alpha1": (0.1, 100.0),
+    "mu2_pa": (1.0, 40_000.0),
+    "alpha2": (0.1, 100.0),
+}
+# A section at rest, meshed with so many 6-node triangles; the target with three times as many.
+EYE_ELEMENTS: dict[Scale, int] = {"sketch": 240, "reduced": 960, "full": 960}
+FINER_TARGET = 3
+# A cornea is thicker at the limbus; the tables print the centre alone.
+THICKER_AT_LIMBUS_MM = 0.105
+
+
+def case_of_eye(eye: SyntheticEye | CohortEye, elements: int) -> dict[str, Any]:
+    """Return the case of a study, in the format of `workers.common_keys`.
+
+    The jet has 15 kPa: with the printed 15 mmHg no cornea turns concave.
+    """
+    centre_mm = eye.pachymetry_um / 1000
+    return {
+        "organ": "cornea",
+        "reference": {
+            "section": {"central_mm": centre_mm, "peripheral_mm": centre_mm + THICKER_AT_LIMBUS_MM}
+        },
+        "mesh": {"elements": elements},
+        "load": {"iop_mmhg": eye.iop_mmhg, "jet": {"pressure_kpa": 15}},
+    }
+
 
 # Mean row and standard deviations of Table 5.2 as printed: constants, JC, MHD in um. The printed
 # mean of mu2 is truncated, not rounded (22962.6), and the rows give a mean MHD of 25.3 um.

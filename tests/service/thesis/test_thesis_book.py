@@ -49,10 +49,11 @@ def test_page_is_self_contained(page: Page, store: str) -> None:
 
 @pytest.mark.slow
 def test_page_has_a_chapter_for_each_experiment(page: Page, store: str) -> None:
-    chapters = ["coefficients", "mesh-quality", "mammogram", "search", "sensitivity", "numbers"]
+    chapters = ["coefficients", "mesh-quality", "mammogram", "search", "sensitivity", "cornea",
+                "numbers"]  # fmt: skip
     assert [i for i in page.ids if i in chapters] == chapters
     alone = Page(render(replace(whole(), meshes=None, mammograms=None, search=None,
-                                sensitivity=None), store))  # fmt: skip
+                                sensitivity=None, cornea=None), store))  # fmt: skip
     assert "coefficients" in alone.ids
     assert "search" not in alone.ids
     assert "Table 4.4" not in alone.text

@@ -101,7 +101,8 @@ def thesis(
         str,
         typer.Argument(
             metavar="NAME",
-            help="Experiment: coefficients, mesh-quality, mammogram, search, sensitivity, or all.",
+            help="Experiment: coefficients, mesh-quality, mammogram, search, sensitivity, cornea, "
+            "or all.",
         ),
     ],
     full: Annotated[

@@ -60,6 +60,7 @@ def judged_constants(summary: Summary) -> dict[str, JudgedConstant]:
 def summary_json(summary: Summary) -> dict[str, Any]:
     """Return the record of `palpate diagnose --json`, with the quotability of constants."""
     record: dict[str, Any] = to_json(summary)
+    record["shrinkage"] = {"checked_on": summary.gap_mm.checked_on}
     for name, one in judged_constants(summary).items():
         record["constants"][name] |= one.answer.as_dict()
     return record
@@ -77,9 +78,13 @@ def change(constant: ConstantEstimate) -> float:
 
 
 def is_lead(summary: Summary) -> bool:
-    """Check whether there may be no gap, or the effect may not reduce it on held-out scans."""
+    """Check whether there may be no gap, or the effect may not reduce it on held-out scans.
+
+    An effect that was only checked on the scan that it was fitted to is a lead as well.
+    """
     share = summary.gap_mm.held_out_share
-    return NO_GAP in summary.set90 or (share is not None and share.low < 0)
+    unseen = summary.gap_mm.checked_on == "same scan" or (share is not None and share.low < 0)
+    return NO_GAP in summary.set90 or unseen
 
 
 def _judged(summary: Summary, name: str, constant: ConstantEstimate) -> JudgedConstant:

@@ -279,20 +279,26 @@ def _verdict(summary: Summary) -> str:
     if _is_nothing(gap.before, gap):
         differ = "The residual is below the noise level but systematic"
     if summary.verdict == "none-of-these":
-        return f"{differ}, and no effect in the catalogue explains it: the cause is not listed."
+        unlisted = likely(summary.none_of_these_probability)
+        return (
+            f"{differ}, and no effect in the catalogue explains it: another cause is most probable "
+            f"({unlisted})."
+        )
     if summary.verdict == "cannot-be-told-apart":
         choice = [name for name in summary.set90 if name not in NOT_EFFECTS]
         if len(choice) == 1:
             others = [DOUBTS[name] for name in summary.set90 if name in DOUBTS]
             return (
                 f"{differ}. The cause may be {_cause(summary)}, but {' or '.join(others)} is not "
-                f"ruled out. {_left(gap)}"
+                f"ruled out. {_left(summary)}"
             ).rstrip()
         return (
             f"{differ}. These scans cannot decide which of {together(choice)} is the cause; "
-            f"{together(names)} is most probable. {_left(gap)}"
+            f"{together(names)} is most probable. {_left(summary)}"
         ).rstrip()
-    return f"{differ}. The cause is {_cause(summary)}. {_left(gap)}".rstrip()
+    if gap.checked_on == "same scan":
+        return f"{differ}. A lead, not a finding: {_cause(summary)}. {_left(summary)}"
+    return f"{differ}. The cause is {_cause(summary)}. {_left(summary)}".rstrip()
 
 
 def _cause(summary: Summary) -> str:
@@ -312,23 +318,29 @@ def _magnitude(summary: Summary, name: str) -> str:
     return f"{spoken(name)} ({how_much}, probability {likely(effect.probability)})"
 
 
-def _left(gap: GapSummary) -> str:
+def _left(summary: Summary) -> str:
     """Return the gap left by the effect, on held-out scans if there are any, and a warning."""
-    left = _left_mm(gap)
+    gap, left = summary.gap_mm, _left_mm(summary)
     if not gap.is_something_left:
         return left
     most = length(gap.most_of_complete_model_mm)
     return f"{left} A complete model would leave at most {most} mm: another cause acts as well."
 
 
-def _left_mm(gap: GapSummary) -> str:
+def _left_mm(summary: Summary) -> str:
+    gap, scan = summary.gap_mm, "scan" if summary.markers is None else "state"
     if gap.held_out_after is not None and gap.held_out_before is not None:
         before = gap.held_out_before
         of = "" if _is_nothing(before, gap) else f" of {length(before.gap_mm)} mm"
         rest = _rest(gap.held_out_after, gap)
-        return f"On scans not used in the fit, it leaves {rest}{of}."
-    where = ", on the scans used in the fit" if gap.not_judged else ""
-    return "" if gap.after is None else f"It leaves {_rest(gap.after, gap)}{where}."
+        return f"On {scan}s not used in the fit, it leaves {rest}{of}."
+    if gap.after is None:
+        return ""
+    fitted = f"{scan}s" if gap.not_judged else scan
+    return (
+        f"It leaves {_rest(gap.after, gap)} on the {fitted} used in the fit; this was not checked "
+        f"on other {scan}s."
+    )
 
 
 def _rest(left: GapEstimate, gap: GapSummary) -> str:
@@ -402,7 +414,7 @@ def confused_effects(plan: PlanSummary) -> str:
     ]
     if not pairs:
         return ""
-    return f"Not distinguished, with the expected log evidence: {'; '.join(pairs)}."
+    return f"Not distinguished, with the expected log evidence in nats: {'; '.join(pairs)}."
 
 
 def drift_advice(plan: PlanSummary) -> str:

@@ -46,6 +46,8 @@ from palpate.workers.mechanics.model_parameters import Parameter, shown_change
 Kind = Literal["planned", "load", "view"]
 
 HALF = float(np.sqrt(0.5))
+# A further measurement that needs no scan.
+REDRAWN = "a second segmentation of every scan"
 VIEWS: tuple[tuple[str, Triple], ...] = (
     ("y", (0.0, 1.0, 0.0)),
     ("x", (1.0, 0.0, 0.0)),
@@ -286,7 +288,7 @@ def designs(
         for n in sensitivities
         if n not in present
     }
-    options["a second segmentation of every scan"] = Design(present, drawings=2)
+    options[REDRAWN] = Design(present, drawings=2)
     middle = {f.name: float(np.exp(f.log_mean)) for f in unloaded.free}
     if any(isinstance(loads[n].problem(middle).load, ForceControl) for n in present):
         options[f"the plates' distance to {SETTINGS.plan.plates_sd_mm:g} mm"] = Design(

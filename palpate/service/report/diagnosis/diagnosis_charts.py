@@ -107,7 +107,7 @@ def evidence(rows: Sequence[Evidence], threshold: float, width: float) -> Svg:
         text = f"{row.gain:.1f}" + (f" + {more:.1f}" if more else "")
         bars.beside(y, max(row.gain, 0.0) + more, text.replace("-", MINUS))
     bars.limit(threshold)
-    return bars.finished("log evidence gained over the nominal model")
+    return bars.finished("log evidence gained over the nominal model, nats")
 
 
 def probabilities(causes: Sequence[Cause], width: float) -> Svg:

@@ -15,6 +15,7 @@ from palpate.service.diagnosis.diagnosis_words import together
 from palpate.service.number_formatting import joined, percent, signed_error, symbol
 from palpate.service.report.page.page_elements import quote_lines
 from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
+from palpate.workers.diagnosis.scan_plan import REDRAWN
 
 
 def quotable(summary: Summary) -> Markup:
@@ -58,15 +59,17 @@ def next_step(summary: Summary, command: str) -> Markup:
     if summary.verdict == "no-gap":
         return Markup("Nothing needs to be added to the model.")
     if summary.next_acquisitions:
-        return Markup("Measure {}.").format(summary.next_acquisitions[0].name)
+        name = summary.next_acquisitions[0].name
+        return Markup("{} {}.").format("Draw" if name == REDRAWN else "Measure", name)
     if summary.verdict == "cannot-be-told-apart" and summary.markers is None:
         return Markup(
             "Find the measurement that would distinguish the causes: <code>{}</code>"
         ).format(f"palpate plan {source}".strip())
     if summary.verdict == "none-of-these":
         return Markup(
-            "Check where model and data differ, and consider causes outside the catalogue."
-        )
+            "Check where model and data differ most: are the {} and the load right there? Then "
+            "go through the table of causes outside the catalogue."
+        ).format("segmentation" if summary.markers is None else "measured points")
     if is_lead(summary):
         return Markup("Confirm {} with a scan under another load.").format(
             together(summary.primary)

@@ -215,7 +215,7 @@ def _tiles(summary: Summary) -> list[tuple[str, str, str]]:
         tiles.append(("On unseen scans", change, "mm"))
     tiles.append(("Noise of a point", length(gap.noise_floor), "mm"))
     tiles.append(
-        ("Evidence for a gap", f"{summary.alarm:.1f}", f"alarm at {summary.threshold:.1f}")
+        ("Evidence for a gap", f"{summary.alarm:.1f}", f"nats, alarm at {summary.threshold:.1f}")
     )
     return tiles
 
@@ -228,10 +228,17 @@ def _warnings(summary: Summary) -> Iterator[str]:
     if loose:
         names = "; ".join(together(e) for e in loose)
         yield f"The refit of {names} did not converge: its evidence is a lower bound."
-    if summary.gap_mm.not_judged:
+    others = f"other {_loaded(summary)}"
+    if summary.gap_mm.checked_on == "same scan":
+        yield (
+            f"How much {together(summary.primary)} reduces the gap was not checked on {others}. A "
+            "fit reduces the gap to the data that it is made to, whatever the cause: treat this "
+            "cause as a lead, not a finding."
+        )
+    elif summary.gap_mm.not_judged:
         yield (
             f"The gap of {listed(summary.gap_mm.not_judged)} with the effect is not checked by a "
-            "fit to the other scans, because they do not determine its magnitude."
+            "fit to the others, because they do not determine its magnitude."
         )
     share = summary.gap_mm.held_out_share
     if share is not None and share.low < 0:

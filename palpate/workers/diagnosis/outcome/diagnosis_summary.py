@@ -8,11 +8,14 @@ their units. The first ones belong to bench experiments alone: points, forces, p
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from palpate.storage.values import Triple
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.verdict.verdict import Kind
 from palpate.workers.mechanics.model_parameters import ShownMagnitude
+
+CheckedOn = Literal["same scan", "other scans"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,6 +227,16 @@ class GapSummary:
         if self.fitted_mm is None or self.undeformed_mm is None:
             return False
         return self.fitted_mm >= self.undeformed_mm
+
+    @property
+    def checked_on(self) -> CheckedOn | None:
+        """Return the scans on which the named effects were checked; None if there are none.
+
+        On the scans that they were fitted to, effects reduce a gap even if they are not its cause.
+        """
+        if self.after is None:
+            return None
+        return "same scan" if self.held_out_after is None else "other scans"
 
     @property
     def most_of_complete_model_mm(self) -> float:

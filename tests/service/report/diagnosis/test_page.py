@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from palpate.service.diagnosis.diagnosed_constants import summary_json
 from palpate.service.diagnosis.diagnosis_words import sentence
 from palpate.service.report.diagnosis.diagnosis_charts import (
     Cause,
@@ -73,20 +74,50 @@ def test_verdict_names_cause_magnitude_and_held_out_gap() -> None:
         "tilt (5.48 ± 0.27 deg, probability > 99 %). On scans not used in the fit, it "
         "leaves nothing above the noise (at most 0.15 mm) of 0.31 mm."
     )
-    assert sentence_of(VERDICTS["one scan"]).endswith("It leaves 0.10 mm (0.00 to 0.20).")
+
+
+def test_one_scan_gives_a_lead_on_terminal_page_and_record() -> None:
+    assert sentence_of(VERDICTS["one scan"]) == (
+        "Model and data differ by 0.30 mm (0.20 to 0.40) beyond the noise. A lead, not a finding: "
+        "plate tilt (5.48 ± 0.27 deg, probability > 99 %). It leaves 0.10 mm (0.00 to 0.20) on the "
+        "scan used in the fit; this was not checked on other scans."
+    )
+    checked = {
+        name: summary_json(typed(told))["shrinkage"]["checked_on"]
+        for name, told in VERDICTS.items()
+    }
+    assert checked == {
+        "effect": "other scans",
+        "no gap": None,
+        "none of these": None,
+        "not told apart": "other scans",
+        "one scan": "same scan",
+    }
+    text = Page(render_diagnosis(found(VERDICTS["one scan"]))).text
+    assert "How much plate tilt reduces the gap was not checked on other scans." in text
+    assert "treat this cause as a lead, not a finding" in text
+    assert "Confirm plate tilt with a scan under another load." in text
+    assert "Do not quote Efat and η (it depends on a cause that is not certain)" in text
+
+
+def test_a_state_of_a_specimen_is_no_scan() -> None:
+    told = VERDICTS["one scan"] | {"markers": []}
+    assert sentence_of(told).endswith(
+        "on the state used in the fit; this was not checked on other states."
+    )
 
 
 def test_reports_a_remaining_gap_and_that_only_the_first_cause_is_certain() -> None:
     record = summary(primary=["plate_tilt", "plate_force"])
     record["gap_mm"] = VERDICTS["one scan"]["gap_mm"] | {"after": gap(0.3, 0.2, 0.4)}
     text = sentence_of(record)
-    assert "The cause is plate tilt (5.48 ± 0.27 deg, probability > 99 %), perhaps with" in text
+    assert ": plate tilt (5.48 ± 0.27 deg, probability > 99 %), perhaps with" in text
+    assert "It leaves 0.30 mm (0.20 to 0.40)" in text
     assert text.endswith(
-        "It leaves 0.30 mm (0.20 to 0.40). A complete model would leave at most 0.09 mm: another "
-        "cause acts as well."
+        "A complete model would leave at most 0.09 mm: another cause acts as well."
     )
     record["gap_mm"] = VERDICTS["one scan"]["gap_mm"] | {"after": gap(0.3, 0.04, 0.5)}
-    assert sentence_of(record).endswith("It leaves 0.30 mm (0.04 to 0.50).")
+    assert "another cause" not in sentence_of(record)
 
 
 def test_reports_a_systematic_residual_below_noise() -> None:

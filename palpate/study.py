@@ -30,6 +30,8 @@ from palpate.service.study.study_progress import progress_observer
 from palpate.service.study.study_session import chosen_session
 from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import InputError
+from palpate.storage.store import open_store
+from palpate.storage.stored_arrays import has_volume, load_volume
 from palpate.volumes import Volume
 from palpate.workers.common_keys import validated
 
@@ -272,24 +274,45 @@ class Study:
         """
         return self.results.to_frame()
 
-    def volume(self, which: Literal["reference", "target", "best"]) -> Volume:
+    def volume(self, which: Literal["reference", "target", "best"] | int) -> Volume:
         """Return a body of the study as labels.
 
         Parameters
         ----------
-        which : {"reference", "target", "best"}
-            The undeformed body, the target, or the deformed body of the best candidate.
+        which : {"reference", "target", "best"} or int
+            The undeformed body, the target, or the deformed body of the best candidate; or the
+            number of a candidate whose body is stored, see `keep` in the study file.
 
         Raises
         ------
         InputError
             If it is not in the store.
         """
+        if not isinstance(which, str):
+            return self._deformed(which)
+        if which not in ("reference", "target", "best"):
+            raise InputError(
+                f"volume {which}: expected reference, target, best or the number of a candidate."
+            )
         bodies = read_study_data(self.folder).bodies
         volume = getattr(bodies, which)
         if volume is None:
             raise InputError(f"The study has no {which} volume. {' '.join(bodies.missing)}")
         return Volume.of(volume)
+
+    def _deformed(self, candidate: int) -> Volume:
+        _, log = read_study(self.folder)
+        if candidate not in log.endings or log.last_session is None:
+            raise InputError(
+                f"The study has no evaluation of candidate {candidate!r}; `candidates` lists all."
+            )
+        store, digest = open_store(log.last_session.store), log.endings[candidate].digest
+        if not has_volume(store, digest):
+            raise InputError(
+                f"The volume of candidate {candidate} is not stored: the study has "
+                f"keep: {self.spec.keep}. Run it with keep: all."
+            )
+        return Volume.of(load_volume(store, digest))
 
     def report(self) -> Path:
         """Write the report page and return its path."""

@@ -200,6 +200,14 @@ def _run(typed: list[str]) -> int:
             raise
         where = error.filename or "standard output"
         return _explain(f"{where}: {_why(error)}. Correct this, or choose another place.")
+    except Exception:
+        # Imported here, and the libraries with it, because `palpate --help` does without.
+        from palpate.service.library_settings import unusable_settings
+
+        reasons = list(unusable_settings())
+        if not reasons:
+            raise
+        return _explain("\n".join(reasons))
     return 0
 
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.animation import PillowWriter
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
@@ -33,9 +34,10 @@ def export_movie(path: Path, body: SolvedBody) -> None:
     StoreError
         If the file cannot be written.
     """
-    scene = _Scene(body)
     writer = PillowWriter(fps=PER_SECOND)
-    with explained(path), replacing(path) as temporary:
+    plain = rc_context({"text.usetex": False})
+    with explained(path), replacing(path) as temporary, plain:
+        scene = _Scene(body)
         writer.setup(scene.figure, temporary, DPI)
         for frame in range(FRAMES + HELD):
             scene.show(min(1.0, frame / FRAMES))

@@ -89,10 +89,9 @@ def _extents(summary: Mapping[str, Any], axes: str | None) -> list[tuple[str, st
     rows = []
     for k, axis in enumerate(AXES):
         low, high = body["lower"][k], body["upper"][k]
-        towards = f", towards {DIRECTIONS[letters[k]]}" if letters else ""
-        text = (
-            f"{high - low:.4g} mm, from {low:.4g} to {high:.4g}; {world[k]} of the image{towards}"
-        )
+        # Of anatomical axes x increases to the left, y to posterior, whatever the file's own do.
+        towards = f"towards {DIRECTIONS[letters[k]]}" if letters else f"{world[k]} of the image"
+        text = f"{high - low:.4g} mm, from {low:.4g} to {high:.4g}; {towards}"
         rows.append((f"body {axis}", f"{text}: {MEANING[axis]}"))
     return rows
 

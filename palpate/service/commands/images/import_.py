@@ -138,7 +138,13 @@ def import_image(
 def _draw(path: Path, volume: Volume, name: str, letters: tuple[str, str, str] | None) -> Path:
     with explained(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    write_png(path, volume, name, letters)
+    # Loads matplotlib, which other commands do without.
+    from matplotlib import rc_context
+
+    from palpate.service.report.drawing.matplotlib_figures import PLAIN_TEXT
+
+    with rc_context(PLAIN_TEXT):
+        write_png(path, volume, name, letters)
     return path
 
 

@@ -1,13 +1,15 @@
 """The command `palpate doctor`."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from palpate.service.cluster.dask_cluster import open_cluster
-from palpate.service.cluster.doctor_checks import Examination, StoreFacts, examine
 from palpate.service.commands.command_line import cluster_options, store_place
 from palpate.service.commands.shared_options import JsonOption, StoreOption, print_json
+from palpate.service.library_settings import unusable_settings
+
+if TYPE_CHECKING:
+    from palpate.service.cluster.doctor_checks import Examination, StoreFacts
 
 
 def doctor(
@@ -29,8 +31,14 @@ def doctor(
     """
     scheduler, _ = cluster_options(scheduler, None)
     place = str(store_place(store))
-    with open_cluster(scheduler, None if scheduler else 1) as cluster:
-        examination = examine(cluster, place)
+    unusable = list(unusable_settings())
+    if unusable:
+        if as_json:
+            print_json({"problems": unusable})
+        else:
+            _print_problems(unusable)
+        raise typer.Exit(2)
+    examination = _examined(scheduler, place)
     if as_json:
         print_json(examination.as_dict())
     else:
@@ -39,7 +47,16 @@ def doctor(
         raise typer.Exit(2)
 
 
-def _store_words(facts: StoreFacts) -> str:
+def _examined(scheduler: str | None, place: str) -> "Examination":
+    # These import Dask.
+    from palpate.service.cluster.dask_cluster import open_cluster
+    from palpate.service.cluster.doctor_checks import examine
+
+    with open_cluster(scheduler, None if scheduler else 1) as cluster:
+        return examine(cluster, place)
+
+
+def _store_words(facts: "StoreFacts") -> str:
     tried = "written, read and listed"
     if facts["free_bytes"] is not None:
         return f"{facts['root']}, {tried}, {facts['free_bytes'] / 1024**3:.0f} GiB free"
@@ -47,7 +64,7 @@ def _store_words(facts: StoreFacts) -> str:
     return f"{facts['root']}, {tried}; conditional put (If-None-Match) {honoured}"
 
 
-def _print(examination: Examination) -> None:
+def _print(examination: "Examination") -> None:
     for role, facts in examination.processes.items():
         memory = facts["memory_bytes"] / 1024**3
         typer.echo(
@@ -64,6 +81,10 @@ def _print(examination: Examination) -> None:
         typer.echo(f"store: {_store_words(examination.store)}")
     if examination.dashboard:
         typer.echo(f"dashboard: {examination.dashboard}")
-    for problem in examination.problems:
+    _print_problems(examination.problems)
+
+
+def _print_problems(problems: list[str]) -> None:
+    for problem in problems:
         typer.echo(f"problem: {problem}", err=True)
-    typer.echo("not ready" if examination.problems else "all is well")
+    typer.echo("not ready" if problems else "all is well")

@@ -18,6 +18,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import gaussian_filter
 
@@ -40,8 +41,11 @@ _THEMED = {
     VERMILION: "vermilion",
 }
 
-# Matplotlib reads these two from its global settings when saving.
-_WRITING: Any = {"svg.fonttype": "none", "svg.hashsalt": "palpate"}
+# A user's settings may ask for LaTeX, for which names such as E_fat and the sign % mean something
+# else.
+PLAIN_TEXT: Any = {"text.usetex": False}
+# Matplotlib reads these from its global settings when saving.
+_WRITING: Any = {"svg.fonttype": "none", "svg.hashsalt": "palpate"} | PLAIN_TEXT
 _lock = threading.Lock()
 # Names of clips and markers are hashes of exact coordinates, which the layout does not always
 # reproduce.
@@ -107,6 +111,8 @@ def svg(drawn: Figure) -> str:
     """Return the figure as SVG text, reproducibly."""
     buffer = io.StringIO()
     with _lock, mpl.rc_context(_WRITING):
+        for words in drawn.findobj(Text):
+            words.set_usetex(False)
         drawn.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     text = buffer.getvalue()
     for n, name in enumerate(dict.fromkeys(_NAMED.findall(text))):

@@ -396,7 +396,7 @@ class LeastSquaresSearch:
             return "no start of the fit could be simulated"
         if best.evaluations >= self.settings.evaluations:
             return f"the fit has not converged in {best.evaluations} evaluations"
-        return "the fit has converged"
+        return "no step of the fit promises a smaller sum of squared distances"
 
 
 def places_in_fit(fit: FitJson, names: Sequence[str], values: FloatArray) -> list[int]:

@@ -98,6 +98,8 @@ def left_s(counts: Mapping[str, int], at_most: int, per_minute: float | None) ->
 
 
 LINE_EVERY_S = 10.0
+# Rows of the panel that lines do not repeat; the report has the note on the best candidate.
+_ONCE = ("", "phase", "page", "dashboard")
 
 
 def progress_observer(console: Console) -> "Progress":
@@ -264,7 +266,7 @@ class PlainProgress(Progress):
         """Print the progress occasionally."""
         super().evaluation_ended(record, replayed)
         if not replayed and time.monotonic() - self._last >= LINE_EVERY_S:
-            shown = [row for row in self.rows() if row[0] not in ("phase", "page", "dashboard")]
+            shown = [row for row in self.rows() if row[0] not in _ONCE]
             self._line("; ".join(f"{heading} {text}".strip() for heading, text in shown))
 
     def generation_ended(self, number: int, generation: Generation) -> None:

@@ -12,11 +12,12 @@ from typer.testing import CliRunner
 from palpate.service.cli import app
 from palpate.service.export import TISSUE_NAMES, export_volume
 from palpate.storage.errors import InputError
-from palpate.storage.values import Volume
+from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.mesh.mesh_hierarchy import mesh_whole_body
 from palpate.workers.organs.breast.breast_organ import ORGAN
-from palpate.workers.organs.breast.scan_facts import Scan
+from palpate.workers.organs.breast.scan_facts import Scan, enclosed_air
 from palpate.workers.organs.breast.scan_pair_checks import likeness
+from palpate.workers.organs.breast.scan_plausibility import check_bodies
 from tests.cases.breast.breast_cases import (
     at_rest,
     findings,
@@ -291,6 +292,54 @@ def test_every_command_refuses_a_body_in_metres(here: Path, command: tuple[str, 
     assert result.exit_code != 0
     assert "a breast has 10 to 5000 ml" in said(result)
     assert not list(here.glob("runs/*/journal*"))
+
+
+def with_voxels(volume: Volume, label: int, width: int) -> Volume:
+    """Return a volume with a cube of a label inside the body, above voxel (20, 20, 10)."""
+    values = volume.values.copy()
+    values[10 : 10 + width, 20 : 20 + width, 20 : 20 + width] = label
+    return replace(volume, values=values)
+
+
+@pytest.mark.parametrize(
+    ("width", "severity"), [(1, "warning"), (4, "warning"), (12, "implausible")]
+)
+def test_enclosed_air_is_named_with_volume_and_place(width: int, severity: str) -> None:
+    rest, scan = usual_pair()
+    hollow = with_voxels(rest, 0, width)
+    said = texts(findings(hollow, scan), severity)
+    step, voxel_ml = np.asarray(rest.spacing_mm), rest.voxel_mm3 / 1000
+    first = np.asarray(rest.origin_mm) + step * [20, 20, 10]
+    last = first + step * (width - 1)
+    box = ", ".join(
+        f"{axis} {low:.4g}" + (f" to {high:.4g}" if width > 1 else "")
+        for axis, low, high in zip("xyz", first + 0.0, last + 0.0, strict=True)
+    )
+    air = int(np.count_nonzero(rest.values) - np.count_nonzero(hollow.values))
+    assert f"rest.nrrd encloses {air * voxel_ml:.3g} ml of air (" in said
+    assert f"of it) at {box} mm" in said
+    assert "encloses" not in texts(findings(rest, scan), "warning")
+
+
+def test_a_compared_tissue_of_one_voxel_is_refused() -> None:
+    rest, scan = usual_pair()
+    gland = rest.values == Tissue.GLANDULAR
+    fatty = replace(rest, values=np.where(gland, np.uint8(Tissue.FAT), rest.values))
+    said = texts(findings(with_voxels(fatty, Tissue.GLANDULAR, 1), scan))
+    assert "Only 1 voxel in rest.nrrd is glandular, at x " in said
+    assert "Segment all of it, or if it is a slip" in said
+
+
+def test_a_diagnosis_names_the_air_that_it_fills(here: Path) -> None:
+    from palpate.workers.organs.breast.scanned_case_files import read_case
+    from palpate.workers.organs.breast.scanned_case_source import facts_of
+
+    write(here / "pressed.nrrd", with_voxels(usual_pair()[1], 0, 2))
+    facts = facts_of(read_case(here / "case.yaml"))
+    assert all(enclosed_air(scan.labels) is None for scan in facts.scans)
+    said = texts(list(check_bodies(facts)), "warning")
+    assert "pressed.nrrd encloses 0.064 ml of air (" in said
+    assert "rest.nrrd" not in said
 
 
 def test_import_warns_of_pieces_and_continues(here: Path) -> None:

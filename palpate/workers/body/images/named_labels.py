@@ -69,17 +69,17 @@ def _described(volume: Volume, counts: Mapping[int, int]) -> Iterator[str]:
             yield f"{ml}, taken as the air around the body"
             continue
         share = int(np.count_nonzero(there & outline)) / whole
-        yield f"{ml}, {share:.0%} of the body's surface, {_box(volume, there)}"
+        yield f"{ml}, {share:.0%} of the body's surface, {box_words(volume, there)}"
 
 
-def _box(volume: Volume, there: BoolArray) -> str:
+def box_words(volume: Volume, there: BoolArray) -> str:
     """Return the first and the last voxel centre along x, y and z in words."""
     ends = []
     for number, axis in enumerate(AXES):
         line = np.flatnonzero(there.any(axis=tuple(k for k in range(3) if k != number)))
         origin, spacing = volume.origin_mm[2 - number], volume.spacing_mm[2 - number]
         low, high = (round(float(origin + spacing * end), 1) + 0.0 for end in (line[0], line[-1]))
-        ends.append(f"{axis} {low:.4g} to {high:.4g}")
+        ends.append(f"{axis} {low:.4g}" + (f" to {high:.4g}" if high > low else ""))
     return ", ".join(reversed(ends)) + " mm"
 
 
@@ -205,7 +205,7 @@ def read_tissues(
     """
     image = read_labels(path, spacing_mm=spacing_mm, axes=axes)
     tissues = label_tissues(image, stated)
-    return TissueImage(crop_to_body(relabel(image.volume, tissues)), tissues, image)
+    return TissueImage(crop_to_body(relabel(image.volume, tissues, image.where)), tissues, image)
 
 
 def label_tissues(image: LabelImage, stated: LabelMap | str | None) -> dict[int, Tissue]:

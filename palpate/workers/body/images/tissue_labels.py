@@ -70,7 +70,9 @@ def label_counts(volume: Volume) -> dict[int, int]:
     return dict(sorted(counts.items()))
 
 
-def relabel(volume: Volume, label_map: Mapping[int, Tissue | str]) -> Volume:
+def relabel(
+    volume: Volume, label_map: Mapping[int, Tissue | str], where: str = "the volume"
+) -> Volume:
     """Convert the labels of an image to tissues.
 
     Parameters
@@ -80,6 +82,8 @@ def relabel(volume: Volume, label_map: Mapping[int, Tissue | str]) -> Volume:
     label_map : mapping of int to Tissue or str
         Names of `Tissue` in any case: ``{0: "air", 1: "fat", 2: "glandular"}``.
         Several labels may become one tissue.
+    where : str
+        Name of the image in messages.
 
     Returns
     -------
@@ -96,17 +100,26 @@ def relabel(volume: Volume, label_map: Mapping[int, Tissue | str]) -> Volume:
     counts = label_counts(volume)
     missing = sorted(wanted.keys() - counts.keys())
     if missing:
+        tissues = listed_names({wanted[label] for label in missing})
         raise InputError(
-            f"Label missing from the volume: {_joined(missing)}. It has {_listed(counts)}. "
-            f"Remove it from the map: labels: {_written(_suggestion(counts, wanted))}"
+            f"Label missing from {where}: {_joined(missing)}. It has {_listed(counts)}. Check that "
+            f"this is the right image, and that {tissues} was segmented and exported. If it has "
+            f"another number, write that one: labels: {_written(_suggestion(counts, wanted))}. "
+            f"Leave {_joined(missing)} out only if the body has none of it."
         )
     unnamed = {label: count for label, count in counts.items() if label not in wanted}
     if unnamed:
         raise InputError(
-            f"The volume has labels that the map does not name: {_listed(unnamed)}. "
+            f"{where[:1].upper()}{where[1:]} has labels that the map does not name: "
+            f"{_listed(unnamed)}. "
             f"Name all of them: labels: {_written(_suggestion(counts, wanted))}"
         )
     return _renamed(volume, wanted)
+
+
+def listed_names(tissues: Iterable[Tissue]) -> str:
+    """Return the names of tissues, such as ``fat and glandular``."""
+    return " and ".join(tissue.name.lower() for tissue in sorted(tissues))
 
 
 def _label_number(label: Any) -> int:

@@ -344,11 +344,17 @@ def _check_meshed_volume(meshed_ml: float, labels: Volume) -> None:
     labelled_ml = float(np.count_nonzero(labels.values)) * labels.voxel_mm3 / 1000
     if abs(meshed_ml - labelled_ml) <= VOLUME_TOLERANCE * labelled_ml:
         return
+    advice = (
+        "Only the largest connected piece is meshed: connect the pieces of the body, or remove "
+        "what does not belong to it. Parts thinner than an element are lost: use more nodes."
+        if meshed_ml < labelled_ml
+        else "Air inside the body is meshed, too: give it the label of its tissue. Bumps thinner "
+        "than an element are rounded: use more nodes."
+    )
     raise InputError(
         f"The mesh has a volume of {meshed_ml:.4g} ml, but its labels cover {labelled_ml:.4g} ml: "
         f"a difference of {meshed_ml / labelled_ml - 1:+.1%}, expected {VOLUME_TOLERANCE:.0%} at "
-        "most. Only the largest connected piece is meshed: connect the pieces of the body, or "
-        "remove what does not belong to it. Parts thinner than an element are lost: use more nodes."
+        f"most. {advice}"
     )
 
 

@@ -282,7 +282,7 @@ def read_image(spec: ImageSpec) -> Volume:
 def as_tissues(volume: Volume, spec: ImageSpec) -> Volume:
     """Return a stored volume with its labels as tissues, cropped to the body."""
     image = LabelImage(volume, {}, str(spec.volume), anatomical=False)
-    return crop_to_body(relabel(volume, label_tissues(image, spec.labels)))
+    return crop_to_body(relabel(volume, label_tissues(image, spec.labels), image.where))
 
 
 def score_by_tissue(

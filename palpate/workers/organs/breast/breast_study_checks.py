@@ -5,8 +5,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Self
 
-import numpy as np
-
 from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.mesh.mesh_hierarchy import check_node_count, check_node_count_of
@@ -23,10 +21,14 @@ from palpate.workers.organs.breast.scan_alignment import study_load
 from palpate.workers.organs.breast.scan_border import check_cut
 from palpate.workers.organs.breast.scan_facts import BreastFacts, Scan, Tissues
 from palpate.workers.organs.breast.scan_plausibility import (
+    FEWEST_VOXELS,
     check_empty_slices,
+    check_enclosed_air,
     check_pieces,
+    check_specks,
     check_volume_range,
     findings_of,
+    too_few,
 )
 from palpate.workers.organs.plausibility_rule import Finding
 
@@ -75,7 +77,7 @@ class BreastChecks:
         scan = Scan(name, None, compression_axis(0.0), body)
         yield from check_volume_range(scan)
         yield from check_cut(scan)
-        for check in (check_empty_slices, check_pieces):
+        for check in (check_empty_slices, check_pieces, check_enclosed_air, check_specks):
             yield from (Finding("warning", finding.text) for finding in check(scan))
 
     def of_bodies(
@@ -89,8 +91,8 @@ class BreastChecks:
         """Check sizes, tissues and loads, and that two images show one body."""
         facts = self._facts(case, target, reference, deformed)
         for scan in facts.scans if score is not None else ():
-            present = {Tissue(int(t)) for t in np.unique(scan.labels.values)}
-            yield from _missing(score, present, scan.file)
+            yield from _missing(score, set(scan.voxels), scan.file)
+            yield from _few(score, scan)
         if reference is not None:
             yield from _mesh(case, reference)
         yield from findings_of(facts)
@@ -166,6 +168,13 @@ def _missing(score: BreastScore | None, present: set[Tissue], where: str) -> Ite
                 f"score.labels: {tissue.name.lower()} is to be compared, but {where} has none: "
                 f"found {there}. Name tissues that both bodies have, or check the label map.",
             )
+
+
+def _few(score: BreastScore | None, scan: Scan) -> Iterator[Finding]:
+    """Reject compared tissues of a few voxels."""
+    for tissue in () if score is None else score.tissues:
+        if scan.voxels.get(tissue, FEWEST_VOXELS) < FEWEST_VOXELS and tissue != Tissue.GLANDULAR:
+            yield Finding("implausible", f"score.labels: {too_few(scan, tissue).text}")
 
 
 def _mesh(case: BreastCase, reference: Volume) -> Iterator[Finding]:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from palpate.storage.values import BoolArray, FloatArray, Tissue, Triple, Volume
-from palpate.workers.body.images.tissue_labels import crop_to_body, resample_labels
+from palpate.workers.body.images.named_labels import box_words
+from palpate.workers.body.images.tissue_labels import crop_to_body, label_counts, resample_labels
 from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise
 from palpate.workers.mechanics.fem.boundary_value_problem import Constants
 
@@ -59,6 +60,33 @@ def _filled(body: BoolArray) -> BoolArray:
     # Four times as fast as `binary_fill_holes`, which dilates the outside step by step.
     pieces, _ = label(np.pad(~body, 1, constant_values=True))
     return np.asarray(pieces[1:-1, 1:-1, 1:-1] != pieces[0, 0, 0])
+
+
+@dataclass(frozen=True)
+class EnclosedAir:
+    """Air inside a body: its volume, share of the body and number of places, and the largest one.
+
+    `box` is the first and the last voxel of the largest place, in words.
+    """
+
+    ml: float
+    share: float
+    places: int
+    box: str
+
+
+def enclosed_air(labels: Volume) -> EnclosedAir | None:
+    """Return the air that a body encloses, by faces of voxels; None if there is none."""
+    body = np.asarray(labels.values != Tissue.AIR)
+    air = _filled(body) & ~body
+    voxels = int(np.count_nonzero(air))
+    if not voxels:
+        return None
+    pieces, count = label(air)
+    largest = pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
+    share = voxels / int(np.count_nonzero(body))
+    ml = voxels * labels.voxel_mm3 / 1000
+    return EnclosedAir(ml, share, count, box_words(labels, largest))
 
 
 def in_air(labels: Volume) -> Volume:
@@ -150,6 +178,8 @@ class Scan:
     cut_cm2 : mapping of str to float, optional
         Section of the body on each face of its image that cuts it, if the labels no longer have
         the border of the image; see `scan_border.cut_cm2`.
+    filled : EnclosedAir, optional
+        Air that was filled in the labels.
     """
 
     file: str
@@ -158,6 +188,7 @@ class Scan:
     labels: Volume
     whole: Volume | None = None
     cut_cm2: Mapping[str, float] | None = None
+    filled: EnclosedAir | None = None
 
     @cached_property
     def body(self) -> BoolArray:
@@ -213,6 +244,12 @@ class Scan:
         extents = (extent_mm(one, axis) for one in slices)
         return float(np.median([high - low for low, high in extents]))
 
+    @cached_property
+    def voxels(self) -> dict[Tissue, int]:
+        """Return the number of voxels of each tissue that the body has."""
+        counts = label_counts(self.labels)
+        return {Tissue(n): count for n, count in counts.items() if n != Tissue.AIR}
+
     @property
     def voxel_mm(self) -> float:
         """Return the longest side of a voxel in mm."""
@@ -232,6 +269,11 @@ class Scan:
             return [self.ml]
         voxels = np.sort(np.bincount(pieces.ravel())[1:])[::-1]
         return [float(n) * self.labels.voxel_mm3 / 1000 for n in voxels]
+
+    @cached_property
+    def air(self) -> EnclosedAir | None:
+        """Return the air that the body encloses in its image."""
+        return self.filled or enclosed_air(self.labels)
 
     @cached_property
     def empty_slices(self) -> dict[str, list[int]]:

@@ -6,7 +6,10 @@ rest and one under load are checked as a pair in `scan_pair_checks`.
 
 from collections.abc import Callable, Iterator
 
+from palpate.storage.values import Tissue
+from palpate.workers.body.images.named_labels import box_words
 from palpate.workers.body.images.scan_orientation import end_areas_mm2
+from palpate.workers.body.mesh.mesh_hierarchy import VOLUME_TOLERANCE
 from palpate.workers.organs.breast.scan_border import check_cuts
 from palpate.workers.organs.breast.scan_facts import BreastFacts, PlateLoad, Scan
 from palpate.workers.organs.breast.scan_force import check_pressed_thickness
@@ -32,6 +35,11 @@ USUAL_MM = (50.0, 400.0)
 POSSIBLE_ML = (10.0, 5000.0)
 # Share of the body below which detached pieces count as specks of the segmentation.
 SPECKS = 0.01
+# Share of the body above which enclosed air is refused: the mesh, which has none, may differ by as
+# much from its labels.
+MOST_AIR = VOLUME_TOLERANCE
+# A cube of three voxels a side: less may vanish when labels are moved or blurred.
+FEWEST_VOXELS = 27
 # Ratio of the cross-section at the far end of z to that at the chest wall above which z runs the
 # wrong way.
 REVERSED = 1.5
@@ -85,6 +93,40 @@ def check_pieces(scan: Scan) -> Iterator[Finding]:
     )
 
 
+def check_enclosed_air(scan: Scan) -> Iterator[Finding]:
+    """Warn of air inside a body, which has none in the model; reject much of it."""
+    air = scan.air
+    if air is None:
+        return
+    places = "" if air.places == 1 else f" in {air.places} places, the largest"
+    yield Finding(
+        "implausible" if air.share > MOST_AIR else "warning",
+        f"The body in {scan.file} encloses {_number(air.ml)} ml of air ({air.share:.2%} of "
+        f"it){places} at {air.box}. The simulated body is solid there. Give these voxels the label "
+        "of their tissue, such as that of fat; label 0 is the air outside the body.",
+    )
+
+
+def check_specks(scan: Scan) -> Iterator[Finding]:
+    """Reject glandular tissue of a few voxels; warn of any other tissue."""
+    for tissue, count in scan.voxels.items():
+        if count < FEWEST_VOXELS:
+            yield too_few(scan, tissue)
+
+
+def too_few(scan: Scan, tissue: Tissue) -> Finding:
+    """Return the finding on a tissue of a few voxels."""
+    count = scan.voxels[tissue]
+    name = tissue.name.lower()
+    return Finding(
+        "implausible" if tissue == Tissue.GLANDULAR else "warning",
+        f"Only {count} voxel{'s' * (count > 1)} in {scan.file} {'are' if count > 1 else 'is'} "
+        f"{name}, at {box_words(scan.labels, scan.labels.values == tissue)}: fewer than "
+        f"{FEWEST_VOXELS} cannot be compared. Segment all of it, or if it is a slip, give it the "
+        "label of the tissue around it.",
+    )
+
+
 def check_chest_wall(facts: BreastFacts) -> Iterator[Finding]:
     """Reject a body at rest that is widest at the end of z where its nipple should be."""
     if facts.rest is None:
@@ -101,7 +143,13 @@ def check_chest_wall(facts: BreastFacts) -> Iterator[Finding]:
         )
 
 
-BODY_CHECKS = (check_volume_range, check_empty_slices, check_pieces)
+BODY_CHECKS = (
+    check_volume_range,
+    check_empty_slices,
+    check_pieces,
+    check_enclosed_air,
+    check_specks,
+)
 
 
 def _size(scan: Scan) -> str:

@@ -37,6 +37,7 @@ from palpate.workers.mechanics.model_parameters import KPA_PER_MM
 from palpate.workers.organs.breast.scan_alignment import aligned
 from palpate.workers.organs.breast.scan_facts import (
     NUGGET_VOXELS,
+    EnclosedAir,
     PlateLoad,
     extent_mm,
     in_air,
@@ -71,6 +72,8 @@ class ScannedCase:
     cut_cm2 : mapping of str to mapping, optional
         Section of the body on each face of its image that cuts it, by the name of the image; see
         `scan_border.cut_cm2`. The scans themselves are in air.
+    air : mapping of str to EnclosedAir, optional
+        Air that was filled in the scans, by the name of the image.
     """
 
     def __init__(
@@ -82,6 +85,7 @@ class ScannedCase:
         where: str = "the case",
         motions: Sequence[str] = (),
         cut_cm2: Mapping[str, Mapping[str, float]] | None = None,
+        air: Mapping[str, EnclosedAir | None] | None = None,
     ) -> None:
         self.file = file
         self.reference = reference
@@ -89,6 +93,7 @@ class ScannedCase:
         self.where = where
         self.motions = tuple(motions)
         self.cut_cm2 = cut_cm2 or {}
+        self.air = air or {}
         self.loads = list(file.scans.loads)
         self.is_scanned = bool(loaded)
         self.deformed = list(loaded) if loaded else [reference] * len(self.loads)
@@ -189,8 +194,8 @@ class ScannedCase:
     @property
     def unloaded(self) -> "ScannedCase":
         """The same case without its loaded scans."""
-        cut = self.cut_cm2
-        return ScannedCase(self.file, self.reference, self.repeat, [], self.where, cut_cm2=cut)
+        cut, air = self.cut_cm2, self.air
+        return ScannedCase(self.file, self.reference, self.repeat, [], self.where, (), cut, air)
 
 
 def stated_starts_mm(file: CaseFile, load: CaseLoad) -> tuple[float | None, float | None]:
@@ -271,7 +276,7 @@ def aligned_case(case: ScannedCase) -> ScannedCase:
             f"{load.volume} was aligned with {case.file.scans.reference}: moved by {motion.words}."
         )
     repeat, cut = case.repeat, case.cut_cm2
-    return ScannedCase(case.file, case.reference, repeat, loaded, case.where, words, cut)
+    return ScannedCase(case.file, case.reference, repeat, loaded, case.where, words, cut, case.air)
 
 
 def case_load(case: ScannedCase, number: int) -> PlateLoad:

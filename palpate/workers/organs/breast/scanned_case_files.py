@@ -28,7 +28,14 @@ from palpate.workers.input_files import named_by, parse_json, parse_yaml, read_t
 from palpate.workers.mechanics.model_parameters import KPA, Unit
 from palpate.workers.organs.breast.breast_laws import law_text, wall_text
 from palpate.workers.organs.breast.scan_border import cut_cm2
-from palpate.workers.organs.breast.scan_facts import DRAWN_LENGTH_MM, DRAWN_VOXELS, in_air, one_body
+from palpate.workers.organs.breast.scan_facts import (
+    DRAWN_LENGTH_MM,
+    DRAWN_VOXELS,
+    EnclosedAir,
+    enclosed_air,
+    in_air,
+    one_body,
+)
 from palpate.workers.organs.breast.scanned_case import (
     ScannedCase,
     above_wall,
@@ -85,7 +92,7 @@ class CaseImages:
             )
         if set(known.values()) != NEEDED:
             raise InputError(self._missing(image))
-        return relabel(image.volume, known)
+        return relabel(image.volume, known, image.where)
 
     def _image(self, name: str) -> LabelImage:
         path = named_by(self.case, name)
@@ -251,10 +258,12 @@ def read_case(path: Path, *, loaded: bool = True, stored: StoredVolume = no_stor
     file = read_case_file(path)
     scans, images = file.scans, CaseImages(path, file.scans, stored)
     cut: dict[str, Mapping[str, float]] = {}
+    air: dict[str, EnclosedAir | None] = {}
 
     def tissues(name: str) -> Volume:
         image = images.tissues(name)
         cut[name] = cut_cm2(_above(file, image))
+        air[name] = enclosed_air(_above(file, image))
         return image
 
     case = ScannedCase(
@@ -264,6 +273,7 @@ def read_case(path: Path, *, loaded: bool = True, stored: StoredVolume = no_stor
         [_one_body(tissues(load.volume)) for load in scans.loads] if loaded else [],
         str(path),
         cut_cm2=cut,
+        air=air,
     )
     return aligned_case(case) if loaded and scans.align is not None else case
 

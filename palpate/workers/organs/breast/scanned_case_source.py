@@ -84,13 +84,15 @@ def facts_of(case: ScannedCase) -> BreastFacts:
             case.above_wall(labels),
             labels,
             case.cut_cm2.get(load.volume),
+            case.air.get(load.volume),
         )
         for load, labels in zip(case.loads, scanned, strict=False)
     ]
     young = [KPA.to_inside(value) for value in _values(case.file, "E_fat_kpa")]
     name, softest, stiffest = case.file.scans.reference, *_tissues_at_bounds(case)
+    cut, air = case.cut_cm2.get(name), case.air.get(name)
     return BreastFacts(
-        rest=Scan(name, 0.0, ALONG_Y, case.reference, cut_cm2=case.cut_cm2.get(name)),
+        rest=Scan(name, 0.0, ALONG_Y, case.reference, cut_cm2=cut, filled=air),
         pressed=list(zip(scans, loads, strict=False)),
         loads=loads,
         least_nu=case.file.nu,

@@ -26,6 +26,7 @@ from palpate.service.report.diagnosis.gap_maps import gap_range_mm, residual_map
 from palpate.service.report.drawing.colours import SIGNED, ColourScale
 from palpate.service.report.drawing.svg import Svg
 from palpate.service.report.study.page_provenance import Made, Origin
+from palpate.workers.diagnosis.scan_plan import REDRAWN
 from palpate.workers.organs.breast.breast_effects import CATALOGUE
 from tests.service.report.diagnosis_at_hand import VERDICTS, found, gap, nothing, summary, typed
 from tests.service.report.pages import Page
@@ -98,6 +99,18 @@ def test_one_scan_gives_a_lead_on_terminal_page_and_record() -> None:
     assert "treat this cause as a lead, not a finding" in text
     assert "Confirm plate tilt with a scan under another load." in text
     assert "Do not quote Efat and η (it depends on a cause that is not certain)" in text
+
+
+def test_evidence_has_its_unit_and_an_unknown_cause_its_probability() -> None:
+    told = VERDICTS["none of these"] | {"none_of_these_probability": 0.93}
+    assert "another cause is most probable (93 %)." in sentence_of(told)
+    assert "nats, alarm at" in Page(render_diagnosis(found(told))).text
+
+
+def test_a_second_segmentation_is_drawn_not_measured() -> None:
+    option = {"name": REDRAWN, "separates": [], "reveals": [], "minimum_ratio": 0.8}
+    text = Page(render_diagnosis(found(summary(next_acquisitions=[option])))).text
+    assert "Draw a second segmentation of every scan." in text
 
 
 def test_a_state_of_a_specimen_is_no_scan() -> None:

@@ -56,6 +56,8 @@ class TestRelabel:
             relabel(volume([[[0, 1, 1]]]), {0: "air", 1: "fat", 5: "skin"})
         message = str(caught.value)
         assert message.startswith("Label missing from the volume: 5.")
+        assert "was segmented and exported" in message
+        assert "Remove it" not in message
         assert "0 (1 voxel), 1 (2 voxels)" in message
 
     def test_long_lists_of_labels_are_shortened(self) -> None:

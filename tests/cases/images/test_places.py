@@ -365,6 +365,9 @@ class TestImport:
         assert "Remark: Slices are 2 mm apart according to their positions" in err
         assert f"frame of reference {FRAME}" in out
         assert "towards anterior: chest wall to nipple" in out
+        # y is superior: the plane across it is transverse, the one across x sagittal.
+        titles = next(line for line in out.splitlines() if line.startswith("coronal, z "))
+        assert titles.index("sagittal, x ") < titles.index("transverse, y ")
         assert "of the image" not in out  # whose own y may increase to anterior
         assert Path("a.png").read_bytes().startswith(b"\x89PNG")
 

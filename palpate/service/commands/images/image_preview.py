@@ -1,6 +1,6 @@
 """A preview of an imported image: a table of facts, and three slices."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,15 @@ DIRECTIONS = {
     "A": "anterior",
     "S": "superior",
     "I": "inferior",
+}
+# The plane that is perpendicular to a direction.
+PLANES = {
+    "L": "sagittal",
+    "R": "sagittal",
+    "P": "coronal",
+    "A": "coronal",
+    "S": "transverse",
+    "I": "transverse",
 }
 # For terminals without colours.
 LETTERS = {
@@ -175,7 +184,7 @@ def write_png(
         )
         panel.set_xlabel(f"{AXES[view.across]} (mm): {MEANING[AXES[view.across]]}", color=INK)
         panel.set_ylabel(f"{AXES[view.up]} (mm): {MEANING[AXES[view.up]]}", color=INK)
-        panel.set_title(f"{view.name}, {AXES[view.normal]} = {at_mm:.3g} mm", color=INK)
+        panel.set_title(f"{_plane(view, letters)}, {AXES[view.normal]} = {at_mm:.3g} mm", color=INK)
         if letters:
             _write_letters(panel, letters[view.across], letters[view.up])
     there = [t for t in Tissue if t and (np.asarray(volume.values) == t).any()]
@@ -206,7 +215,14 @@ def _write_letters(panel: Any, across: str, up: str) -> None:
         )
 
 
-def terminal_lines(volume: Volume, width: int, *, colours: bool) -> Iterator[Any]:
+def _plane(view: View, letters: Sequence[str] | None) -> str:
+    """Return the anatomical name of a plane; that of the view if directions are unknown."""
+    return PLANES[letters[view.normal]] if letters else view.name
+
+
+def terminal_lines(
+    volume: Volume, width: int, *, colours: bool, letters: Sequence[str] | None = None
+) -> Iterator[Any]:
     """Yield the three slices as lines for a `rich` console, side by side or one below the other.
 
     Parameters
@@ -216,6 +232,8 @@ def terminal_lines(volume: Volume, width: int, *, colours: bool) -> Iterator[Any
         Columns of the terminal.
     colours : bool
         Draw half blocks, two pixels per character; otherwise a letter for each tissue.
+    letters : sequence of str, optional
+        Anatomical directions in which x, y and z increase.
     """
     from rich.text import Text
 
@@ -226,7 +244,9 @@ def terminal_lines(volume: Volume, width: int, *, colours: bool) -> Iterator[Any
     blocks = []
     for view, at_mm, cut in shown:
         columns = max(2, round(panel * _size_mm(cut)[0] / largest))
-        title = Text(f"{view.name}, {AXES[view.normal]} {at_mm:.3g} mm"[:panel].ljust(panel))
+        title = Text(
+            f"{_plane(view, letters)}, {AXES[view.normal]} {at_mm:.3g} mm"[:panel].ljust(panel)
+        )
         blocks.append([title, *_drawn(cut, columns, panel, colours)])
     if not beside:
         for block in blocks:

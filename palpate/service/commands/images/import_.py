@@ -153,7 +153,8 @@ def _print(volume: Volume, record: dict[str, Any]) -> None:
     echo_table(None, facts(record, record["axes"]))
     console = Console(highlight=False, markup=False)
     coloured = console.is_terminal and not console.no_color
-    for line in terminal_lines(volume, console.width, colours=coloured):
+    letters = record["increasing_towards"]
+    for line in terminal_lines(volume, console.width, colours=coloured, letters=letters):
         console.print(line, no_wrap=True, overflow="crop")
     for remark in record["remarks"]:
         typer.echo(f"Remark: {remark}", err=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from palpate.service.simulation.organ_simulation import OrganModel, case_from_keys, stated_constants
+from palpate.storage.read_only import ReadOnly, read_only
 from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.organs.cornea.cornea_forward import LoadedCornea
 from palpate.workers.organs.cornea.prestressed_equilibrium import CorneaOutcome
@@ -19,11 +20,11 @@ __all__ = ["Cornea", "CorneaSimulation"]
 
 
 @dataclass(frozen=True, eq=False)
-class CorneaSimulation:
+class CorneaSimulation(ReadOnly):
     """One simulation of a section with n nodes and m six-node triangles of q points each.
 
     A simulation that does not converge is an ordinary result: `converged` is False, `reason`
-    explains it, and the arrays describe the last equilibrium state.
+    explains it, and the arrays describe the last equilibrium state. All arrays are read-only.
 
     Parameters
     ----------
@@ -51,8 +52,8 @@ class CorneaSimulation:
     displacement_mm: FloatArray
     outcome: Mapping[str, Any]
     deformed: Section
-    model: OrganModel = field(repr=False)
-    loaded: LoadedCornea = field(repr=False)
+    _model: OrganModel = field(repr=False)
+    _loaded: LoadedCornea = field(repr=False)
 
     def __repr__(self) -> str:
         size = f"{len(self.nodes_mm)} nodes, {len(self.triangles)} triangles"
@@ -71,12 +72,12 @@ class CorneaSimulation:
         Shape (m, q, 3, 3); the third axis is normal to the section. With the additive prestress,
         F is measured from the image.
         """
-        return self.loaded.fields[0]
+        return read_only(self._loaded.fields[0])
 
     @property
     def cauchy_stress_mpa(self) -> FloatArray:
         """Cauchy stress at each point in MPa, shape (m, q, 3, 3), tension positive."""
-        return self.loaded.fields[1]
+        return read_only(self._loaded.fields[1])
 
     def gradient(self, name: str) -> FloatArray:
         """Differentiate the displacement with respect to a constant.
@@ -96,7 +97,7 @@ class CorneaSimulation:
         InputError
             If the constant is unknown, or the simulation did not converge.
         """
-        return self.loaded.gradient(self.model.case.vocabulary.at_door(name))
+        return self._loaded.gradient(self._model.case.vocabulary.at_door(name))
 
 
 class Cornea:
@@ -173,6 +174,7 @@ class Cornea:
             solution = loaded.equilibrium.solution
             displacement_mm, reason = solution.displacement_mm, solution.reason
             outcome = CorneaOutcome(solution).as_dict()
+        deformed = model.organ.deform(model.body, model.mesh, displacement_mm)
         return CorneaSimulation(
             constants=model.case.vocabulary.to_door(values),
             converged=bool(outcome["converged"]),
@@ -181,7 +183,7 @@ class Cornea:
             triangles=model.mesh.triangles,
             displacement_mm=displacement_mm,
             outcome=outcome,
-            deformed=model.organ.deform(model.body, model.mesh, displacement_mm),
-            model=model,
-            loaded=loaded,
+            deformed=Section(read_only(deformed.anterior_mm), read_only(deformed.posterior_mm)),
+            _model=model,
+            _loaded=loaded,
         )

@@ -32,7 +32,7 @@ class Diagnosis(FinishedDiagnosis):
 
     - ``summary``: ``verdict``, ``primary`` (the named effects), ``effects`` with their
       probabilities and magnitudes, ``constants`` and ``gap_mm``,
-    - ``maps``: arrays of the points on the interfaces and their residuals in mm,
+    - ``maps``: read-only arrays of the points on the interfaces and their residuals in mm,
     - ``scans``: the names of the loaded scans.
     """
 

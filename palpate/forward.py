@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -60,12 +61,16 @@ class Breast:
         **keys: Any,
     ) -> None:
         reference: dict[str, Any] = {}
+        given: values.Volume | None = None
         if isinstance(body, Mapping):
             reference |= body
+        elif isinstance(body, values.Volume):
+            given = values.Volume(**deepcopy(vars(body)))
+            reference["volume"] = GIVEN
         else:
-            reference["volume"] = GIVEN if isinstance(body, values.Volume) else str(body)
+            reference["volume"] = str(body)
         case = case_from_keys("breast", {"reference": reference} | keys)
-        self._model = OrganModel(case, body if isinstance(body, values.Volume) else None)
+        self._model = OrganModel(case, given, shown=Volume.of)
         for finding in self._model.check(anyway=anyway):
             warnings.warn(finding.text, stacklevel=2)
 

@@ -1,6 +1,7 @@
 """Reading, writing and generating label volumes."""
 
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any, Self
 
@@ -8,17 +9,19 @@ from palpate.service.export import VOLUME_SUFFIXES, check_suffix, export_volume
 from palpate.service.report.notebook_html import volume_html
 from palpate.service.simulation.organ_simulation import case_from_keys
 from palpate.storage import values
+from palpate.storage.read_only import ReadOnly, hold_read_only
 from palpate.workers.body.images import image_formats
 from palpate.workers.organs.organ_plugins import DEFAULT, organ_named
 
 
-class Volume(values.Volume):
+class Volume(values.Volume, ReadOnly):
     """Voxels with a position in space; notebooks show three sections through the middle.
 
     Parameters
     ----------
     values : ndarray, shape (nz, ny, nx)
-        Labels (``uint8``, see `Tissue`), compartment ids (``uint16``) or grey values.
+        Labels (``uint8``, see `Tissue`), compartment ids (``uint16``) or grey values; copied and
+        read-only.
     spacing_mm : tuple of float
         Distance between voxel centres along x, y and z; > 0.
     origin_mm : tuple of float
@@ -34,12 +37,18 @@ class Volume(values.Volume):
         If the array is not 3-D or a spacing is not a positive number.
     """
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        vars(self).update(deepcopy(vars(self)))
+        hold_read_only(self)
+
     @classmethod
     def of(cls, volume: values.Volume) -> Self:
-        """Convert a volume to this class, which notebooks can display."""
-        return cls(
-            volume.values, volume.spacing_mm, volume.origin_mm, volume.frame_uid, volume.place_known
-        )
+        """Convert a volume to this class, which notebooks can display; its voxels are shared."""
+        made = object.__new__(cls)
+        vars(made).update(vars(volume))
+        hold_read_only(made)
+        return made
 
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self.shape_xyz))

@@ -32,6 +32,7 @@ from palpate.service.study.study_keys import StudySpec, read_spec
 from palpate.storage.backends.atomic_files import explained, replacing
 from palpate.storage.errors import InputError, StoreError
 from palpate.storage.json_digests import file_digest
+from palpate.storage.read_only import ReadOnly
 from palpate.workers.common_keys import validated
 from palpate.workers.input_files import check_regular
 
@@ -43,7 +44,7 @@ REFUSALS: dict[int, type[InputError] | type[StoreError]] = {409: StoreError, 413
 
 
 @dataclass(frozen=True)
-class JobEvent:
+class JobEvent(ReadOnly):
     """One event of a followed job.
 
     Parameters

@@ -35,6 +35,7 @@ from typing import Any, ClassVar, Self
 
 from palpate.storage.errors import JournalError
 from palpate.storage.json_digests import to_number, to_plain
+from palpate.storage.read_only import ReadOnly, read_only
 from palpate.storage.store import check_schema
 from palpate.storage.values import (
     FitJson,
@@ -66,7 +67,7 @@ SCHEMA_VERSION = 2
 """Version 1 has the same records, in lines that do not name the line before them."""
 
 
-class _JournalRecord:
+class _JournalRecord(ReadOnly):
     """Conversion of a dataclass to and from a line of the journal, field by field."""
 
     kind: ClassVar[str]
@@ -136,6 +137,7 @@ class StudyRecord(_JournalRecord):
             _refuse("a study has no digest")
         if not isinstance(self.spec, Mapping) or not isinstance(self.versions, Mapping):
             _refuse("spec and versions of a study must be mappings")
+        super().__post_init__()
 
 
 @dataclass(frozen=True)
@@ -180,6 +182,7 @@ class SessionRecord(_JournalRecord):
 
     def __post_init__(self) -> None:
         _restore_numbers(self, "prepared", "target")
+        super().__post_init__()
 
     @property
     def began_at(self) -> datetime | None:
@@ -227,6 +230,7 @@ class ProposalRecord(_JournalRecord):
             _refuse(f"generation {self.number} begins with candidate {self.first}")
         if any(len(row) != len(self.names) for row in self.genes):
             _refuse(f"generation {self.number} has candidates without {', '.join(self.names)}")
+        super().__post_init__()
 
 
 @dataclass(frozen=True)
@@ -468,7 +472,7 @@ def caveats_in(sessions: Iterable[SessionRecord]) -> tuple[str, ...]:
 def _restore_numbers(record: _JournalRecord, *names: str) -> None:
     """Replace "-inf", "inf" and "nan" by numbers in these fields, at any depth."""
     for name in names:
-        object.__setattr__(record, name, to_number(to_plain(getattr(record, name))))
+        object.__setattr__(record, name, read_only(to_number(to_plain(getattr(record, name)))))
 
 
 def _is_count(value: Any, least: int) -> bool:

@@ -31,6 +31,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from palpate.storage.errors import InputError
+from palpate.storage.read_only import hold_read_only, read_only
 from palpate.workers.file_keys import (
     Pairs,
     errors_with_pairs,
@@ -103,7 +104,23 @@ def _misread(given: Any, value: Any, path: tuple[int | str, ...] = ()) -> Iterat
             yield from _misread(item, part, (*path, number))
 
 
-class Door(BaseModel):
+class FrozenModel(BaseModel):
+    """Frozen record whose mappings and lists cannot be changed either."""
+
+    model_config = ConfigDict(frozen=True)
+
+    @model_validator(mode="after")
+    def _mappings_are_read_only(self) -> Self:
+        hold_read_only(self)
+        return self
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with other values, which are not validated."""
+        changed = None if update is None else read_only(dict(update))
+        return super().model_copy(update=changed, deep=deep)
+
+
+class Door(FrozenModel):
     """Frozen record that refuses unknown keys; an empty key counts as missing.
 
     Exactly one key of each group in `exactly_one` must be given. The
@@ -111,7 +128,7 @@ class Door(BaseModel):
     that the digests of those studies stay the same.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid")
     exactly_one: ClassVar[Pairs] = ()
     later_keys: ClassVar[tuple[str, ...]] = ()
 

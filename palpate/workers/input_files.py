@@ -28,8 +28,10 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.representer import Representer, SafeRepresenter
 
 from palpate.storage.errors import InputError, PalpateError
+from palpate.storage.read_only import FrozenDict, FrozenList
 from palpate.workers.yaml_scalars import (
     UnclearValueError,
     core_number,
@@ -243,6 +245,12 @@ class _Dumper(yaml.SafeDumper):
         ]
         for first in StrictLoader.yaml_implicit_resolvers
     }
+
+
+# Also for yaml.safe_dump and yaml.dump of a caller, who may write a part of a study.
+for _representer in (SafeRepresenter, Representer):
+    _representer.add_representer(FrozenDict, SafeRepresenter.represent_dict)
+    _representer.add_representer(FrozenList, SafeRepresenter.represent_list)
 
 
 def dump_yaml(data: Any) -> str:

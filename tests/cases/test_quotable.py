@@ -364,11 +364,9 @@ def test_correctly_placed_scan_does_not_change_intervals() -> None:
 
 def test_force_error_is_always_included() -> None:
     """A force that is 8 % too high gives a stiffness that is 8 % too high, at any residual."""
-    others = OtherProblems(with_nuisance("ln_plate_force", 0.0, -1e4), (FORCE,))
-    others_fit = others.nuisances
-    assert others_fit is not None
-    others_fit["hessian"][2][2] = 1e4  # the same change in the residuals: not identifiable
-    found = identified(fit(), others)
+    with_force = with_nuisance("ln_plate_force", 0.0, -1e4)
+    with_force["hessian"][2][2] = 1e4  # the same change in the residuals: not identifiable
+    found = identified(fit(), OtherProblems(with_force, (FORCE,)))
     assert found.constants["E_fat"].errors["the force"] == pytest.approx(0.8, rel=1e-3)
     assert studied(found).estimates["E_fat"].quotable
 

@@ -20,6 +20,7 @@ from palpate.service.errors_and_interrupts import TaskError
 from palpate.service.study.preflight import require_plugins
 from palpate.service.study.study_session import SchedulerEvents
 from palpate.storage.backends.store_paths import Location
+from palpate.storage.read_only import ReadOnly
 from palpate.storage.stored_arrays import Arrays
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.outcome.diagnosis_source import Source
@@ -98,16 +99,16 @@ class Workers(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class FinishedDiagnosis:
+class FinishedDiagnosis(ReadOnly):
     """A completed diagnosis.
 
     Parameters
     ----------
     summary : Summary
-    maps : dict of str to ndarray
+    maps : mapping of str to ndarray
         ``points`` (k, 3) in mm; ``interface`` (k,), 0 for the outline; ``before``,
         ``noise`` (standard deviation) and, if an effect is named, ``after``: residuals
-        in mm, shape (scans, k).
+        in mm, shape (scans, k). Read-only.
     scans : sequence of str
         Names of the loaded scans.
     """

@@ -31,6 +31,7 @@ from palpate.service.results.intervals import (
 from palpate.service.results.physical_limits import at_limit
 from palpate.service.results.quotability_rule import IdentifiedAs
 from palpate.service.search.search_interface import FloatArray
+from palpate.storage.read_only import ReadOnly
 from palpate.storage.values import FitJson
 
 STIFFNESS_UNITS = ("kPa", "Pa")
@@ -131,7 +132,7 @@ class Interval:
 
 
 @dataclass(frozen=True)
-class IdentifiedConstant:
+class IdentifiedConstant(ReadOnly):
     """The identifiability of one searched constant.
 
     Parameters
@@ -188,7 +189,7 @@ class IdentifiedRatio:
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(ReadOnly):
     """The identifiability of a model's constants from an image.
 
     Parameters

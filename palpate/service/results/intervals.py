@@ -48,6 +48,7 @@ from palpate.service.results.physical_limits import (
     limited_step,
 )
 from palpate.service.search.search_interface import FloatArray
+from palpate.storage.read_only import ReadOnly, hold_read_only
 from palpate.storage.values import FitJson, MeshFit, Prior
 from palpate.workers.mechanics.model_parameters import Parameter, Vocabulary
 from palpate.workers.organs.organ_protocol import Nuisance
@@ -64,7 +65,7 @@ IMAGE_AND_PRIOR = "image and prior"
 
 
 @dataclass(frozen=True)
-class LocalProblem:
+class LocalProblem(ReadOnly):
     """The least-squares problem of the constants, in the coordinates of `LocalModel`.
 
     Parameters
@@ -93,7 +94,7 @@ class LocalProblem:
 
 
 @dataclass(frozen=True)
-class ErrorSource:
+class ErrorSource(ReadOnly):
     """One source of error.
 
     Parameters
@@ -203,7 +204,7 @@ LEAST_SHARE = 0.15
 
 
 @dataclass(frozen=True)
-class Direction:
+class Direction(ReadOnly):
     """A combination of the constants that the image determines independently of the others.
 
     Parameters
@@ -224,7 +225,7 @@ class Direction:
 
 
 @dataclass(frozen=True)
-class RelativeInterval:
+class RelativeInterval(ReadOnly):
     """The 90 % interval of a value derived from the constants, relative to its best estimate.
 
     Parameters
@@ -241,7 +242,7 @@ class RelativeInterval:
 
 
 @dataclass(frozen=True)
-class OtherProblems:
+class OtherProblems(ReadOnly):
     """Other least-squares problems of the best candidate.
 
     Parameters
@@ -260,7 +261,7 @@ class OtherProblems:
 
 
 @dataclass(frozen=True)
-class SearchedConstants:
+class SearchedConstants(ReadOnly):
     """The searched constants of a study, as needed for an identification.
 
     Parameters
@@ -321,6 +322,7 @@ class LocalModel:
         self.sources = self._sources(others or OtherProblems())
         self.common = np.array([name in searched.common_scale for name in self.names])
         self.unseen_root = self._unseen_root(bounds)
+        hold_read_only(self)
 
     @property
     def correlation(self) -> tuple[tuple[float, ...], ...]:
@@ -558,6 +560,7 @@ class Posterior:
         half = np.ptp(ends, axis=1) / 2
         self.middle = ends.mean(axis=1)
         self.root = root * (half / (DEVIATIONS * np.where(sd > 0, sd, 1.0)))[:, None]
+        hold_read_only(self)
 
     def draw(self, names: Sequence[str], count: int, seed: int) -> list[FloatArray]:
         """Draw from the joint posterior of all constants.

@@ -8,6 +8,7 @@ from palpate.service.number_formatting import number
 from palpate.service.results.result_records import ParameterEstimate, StudyResults
 from palpate.service.search.search_interface import FloatArray
 from palpate.storage.errors import InputError
+from palpate.storage.read_only import read_only
 from palpate.workers.mechanics.model_parameters import unknown_name
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Samples(Mapping[str, FloatArray]):
-    """Draws of the constants of a study: arrays of equal length by name.
+    """Draws of the constants of a study: read-only arrays of equal length by name.
 
     Parameters
     ----------
@@ -32,7 +33,9 @@ class Samples(Mapping[str, FloatArray]):
     def __init__(
         self, draws: Mapping[str, FloatArray], units: Mapping[str, str], study: str, seed: int
     ) -> None:
-        self._draws, self.units, self.study, self.seed = dict(draws), dict(units), study, seed
+        self._draws = read_only({name: values.copy() for name, values in draws.items()})
+        self.units = read_only(dict(units))
+        self.study, self.seed = study, seed
 
     def __getitem__(self, name: str) -> FloatArray:
         return self._draws[name]
@@ -72,7 +75,7 @@ class Samples(Mapping[str, FloatArray]):
             If xarray is not installed.
         """
         variables = {
-            name: (("chain", "draw"), values[None, :], {"units": self.units[name]})
+            name: (("chain", "draw"), values[None, :].copy(), {"units": self.units[name]})
             for name, values in self._draws.items()
         }
         places = {"chain": [0], "draw": range(self.n)}

@@ -42,6 +42,7 @@ from palpate.service.results.quotability_rule import (
 )
 from palpate.service.study.study_keys import StudySpec
 from palpate.storage.journal_records import EvaluationRecord
+from palpate.storage.read_only import ReadOnly
 from palpate.storage.values import BodyFacts, Scores, TargetKind
 from palpate.workers.common_keys import Identifiable
 from palpate.workers.mechanics.fem.boundary_value_problem import SQUEEZED_J
@@ -390,7 +391,7 @@ class EvaluationCounts:
 
 
 @dataclass(frozen=True)
-class GenerationScores:
+class GenerationScores(ReadOnly):
     """The scores of a complete generation.
 
     Parameters
@@ -446,7 +447,7 @@ class StageTime:
 
 
 @dataclass(frozen=True)
-class StudyResults:
+class StudyResults(ReadOnly):
     """All results shown by a status or a report.
 
     Parameters
@@ -595,7 +596,7 @@ class StudyResults:
 
 
 @dataclass(frozen=True)
-class CandidateResults:
+class CandidateResults(ReadOnly):
     """All results of one candidate.
 
     Parameters

@@ -19,6 +19,7 @@ from palpate.storage.best_candidate import score_of
 from palpate.storage.errors import InputError
 from palpate.storage.journal_records import EvaluationRecord
 from palpate.storage.json_digests import to_plain
+from palpate.storage.read_only import ReadOnly
 
 # Keys from the record that `palpate report --json` prints.
 SHARED_KEYS = (
@@ -37,7 +38,7 @@ EMPTY = frozenset({str(None), ABSENT})
 
 
 @dataclass(frozen=True)
-class ComparedStudy:
+class ComparedStudy(ReadOnly):
     """One study of a comparison.
 
     Parameters
@@ -58,7 +59,7 @@ class ComparedStudy:
 
 
 @dataclass(frozen=True)
-class StudyComparison:
+class StudyComparison(ReadOnly):
     """A comparison of several studies.
 
     Parameters

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from palpate.service.server.jobs.home_and_tokens import NAME_PATTERN
+from palpate.workers.common_keys import FrozenModel
 
 _TRACEBACK = re.compile(r"\s*Traceback \(most recent call last\):.*", re.DOTALL)
 _PATH = re.compile(r"(?<![\w:/.])/(?:[^\s:'\",;()\[\]<>]+/)*([^\s:'\",;()\[\]<>/]*)")
@@ -109,7 +110,7 @@ class Problem(BaseModel):
     error: str
 
 
-class Evaluations(BaseModel):
+class Evaluations(FrozenModel):
     """Number of evaluations of a study by status."""
 
     done: int = 0
@@ -120,7 +121,7 @@ class Evaluations(BaseModel):
     at_most: int = 0
 
 
-class Best(BaseModel):
+class Best(FrozenModel):
     """The best candidate so far; genes in the units of the study file.
 
     ``objective`` is the label of the score that the search optimises, ``value`` its value.
@@ -135,7 +136,7 @@ class Best(BaseModel):
     note: str = ""
 
 
-class Phase(BaseModel):
+class Phase(FrozenModel):
     """The current step of a diagnosis: completed tasks, and all tasks."""
 
     phase: str
@@ -144,7 +145,7 @@ class Phase(BaseModel):
     task: str = ""
 
 
-class JobView(BaseModel):
+class JobView(FrozenModel):
     """A study or a diagnosis, and its progress.
 
     ``reason`` explains a failure, ``note`` why a waiting job is not running. ``journal_bytes``
@@ -171,7 +172,7 @@ class JobView(BaseModel):
     best: Best | None = None
     stopped: str = ""
     phase: Phase | None = None
-    files: list[str] = []
+    files: list[str] = Field(default=[])
 
 
 class JobPage(BaseModel):
@@ -204,7 +205,7 @@ class UploadList(BaseModel):
     uploads: list[UploadView]
 
 
-class WorkerView(BaseModel):
+class WorkerView(FrozenModel):
     """One worker: running and waiting tasks, CPU load, memory and its limit (0: no limit)."""
 
     name: str
@@ -217,7 +218,7 @@ class WorkerView(BaseModel):
     memory_limit_bytes: int
 
 
-class ClusterView(BaseModel):
+class ClusterView(FrozenModel):
     """The cluster: tasks it can run at once, tasks running or queued, Dask's dashboard."""
 
     ready: bool
@@ -225,7 +226,7 @@ class ClusterView(BaseModel):
     threads: int = 0
     tasks: int = 0
     dashboard: str = ""
-    workers: list[WorkerView] = []
+    workers: list[WorkerView] = Field(default=[])
 
 
 class SearchedParameterView(BaseModel):

@@ -15,6 +15,7 @@ import numpy as np
 
 from palpate.service.export.solved_mesh_files import MeshData, mesh_data
 from palpate.storage.errors import InputError
+from palpate.storage.read_only import ReadOnly, hold_read_only
 from palpate.storage.stored_arrays import export_mesh
 from palpate.storage.values import FloatArray, IntArray, TetMesh, Volume
 from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium, equilibrium, stress_free
@@ -165,19 +166,20 @@ class MeshedBody:
             tissue=finest.fractions.argmax(axis=1).astype(np.int32),
             displacement_mm=displacement_mm,
             outcome=outcome,
-            body=self,
-            stated=stated,
-            solved=solved,
+            _body=self,
+            _stated=stated,
+            _solved=solved,
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
+class Simulation(ReadOnly):
     """One simulation of a body of n nodes and m linear tetrahedra.
 
     A simulation that does not converge is an ordinary result: `converged` is False, `reason`
     explains it, and the arrays describe the last state reached. Strain and stress refer to the
-    stress-free shape, which is `nodes_mm` unless gravity acts in the image.
+    stress-free shape, which is `nodes_mm` unless gravity acts in the image. All arrays are
+    read-only.
 
     Parameters
     ----------
@@ -195,8 +197,6 @@ class Simulation:
     displacement_mm : ndarray, shape (n, 3)
     outcome : mapping of str to object
         Iterations, residual, contact area and other figures from the solver; names contain units.
-    body, stated, solved
-        The model, the given constants in internal units, and the state of the solver.
     """
 
     constants: Mapping[str, float]
@@ -207,9 +207,9 @@ class Simulation:
     tissue: IntArray
     displacement_mm: FloatArray
     outcome: Mapping[str, Any]
-    body: MeshedBody = field(repr=False)
-    stated: Mapping[str, float] = field(repr=False)
-    solved: Equilibrium | None = field(repr=False, default=None)
+    _body: MeshedBody = field(repr=False)
+    _stated: Mapping[str, float] = field(repr=False)
+    _solved: Equilibrium | None = field(repr=False, default=None)
 
     def __repr__(self) -> str:
         size = f"{len(self.nodes_mm)} nodes, {len(self.tetrahedra)} tetrahedra"
@@ -263,7 +263,7 @@ class Simulation:
     @property
     def reaction_n(self) -> FloatArray:
         """Reaction forces in N at nodes held by a wall or a hold, shape (n, 3)."""
-        return reactions(self.equilibrium)
+        return reactions(self._equilibrium)
 
     @cached_property
     def deformed(self) -> Volume:
@@ -274,13 +274,14 @@ class Simulation:
         InputError
             If the body has no voxels, or the simulation did not converge.
         """
-        if self.body.deform is None:
+        if self._body.deform is None:
             raise InputError("This body is not made of voxels: use deformed_nodes_mm.")
         if not self.converged:
             raise InputError(
                 f"There is no deformed body because the simulation diverged: {self.reason}."
             )
-        return self.body.deform(self.displacement_mm)
+        # Code would be compiled again for an array that is read-only.
+        return self._body.deform(self.displacement_mm.copy())
 
     def gradient(self, name: str) -> FloatArray:
         """Differentiate the displacement with respect to a constant.
@@ -303,18 +304,18 @@ class Simulation:
         InputError
             If the constant is unknown, or the simulation did not converge.
         """
-        parameter = self.body.vocabulary.at_door(name)
+        parameter = self._body.vocabulary.at_door(name)
 
         def problem_at(value: float) -> Problem:
-            stated = {**self.stated, parameter.name: value}
-            return self.body.problem(self.body.complete(stated))
+            stated = {**self._stated, parameter.name: value}
+            return self._body.problem(self._body.complete(stated))
 
         return displacement_gradient(
-            self.equilibrium,
+            self._equilibrium,
             problem_at,
             parameter,
-            self.body.complete(self.stated)[parameter.name],
-            follows_path=parameter.name in self.body.path_dependent,
+            self._body.complete(self._stated)[parameter.name],
+            follows_path=parameter.name in self._body.path_dependent,
         )
 
     def to_meshio(self) -> meshio.Mesh:
@@ -325,9 +326,9 @@ class Simulation:
         data = self._mesh_data
         return meshio.Mesh(
             data.mesh.nodes,
-            [("tetra", data.mesh.tets)],
-            point_data=data.points,
-            cell_data={name: [values] for name, values in data.cells.items()},
+            [("tetra", data.mesh.tets.copy())],
+            point_data={name: values.copy() for name, values in data.points.items()},
+            cell_data={name: [values.copy()] for name, values in data.cells.items()},
         )
 
     def to_vtu(self, path: str | Path) -> Path:
@@ -361,24 +362,26 @@ class Simulation:
         return pyvista.from_meshio(self.to_meshio())
 
     @cached_property
-    def equilibrium(self) -> Equilibrium:
+    def _equilibrium(self) -> Equilibrium:
         """The state of the solver; recomputed if the simulation ran elsewhere."""
-        if self.solved is not None:
-            return self.solved
-        return equilibrium(self.body.model, self.body.problem(self.body.complete(self.stated)))
+        if self._solved is not None:
+            return self._solved
+        return equilibrium(self._body.model, self._body.problem(self._body.complete(self._stated)))
 
     @cached_property
     def _level(self) -> Level:
-        if self.solved is not None:
-            return self.solved.levels[-1]
-        model, problem = self.body.model, self.body.problem(self.body.complete(self.stated))
+        if self._solved is not None:
+            return self._solved.levels[-1]
+        model, problem = self._body.model, self._body.problem(self._body.complete(self._stated))
         if any(problem.imaged_gravity_g):
             model = stress_free(model, problem)
         return Level.build(model.finest, problem)
 
     @cached_property
     def _fields(self) -> ElementFields:
-        return element_fields(self._level, self.deformed_nodes_mm)
+        fields = element_fields(self._level, self.deformed_nodes_mm)
+        hold_read_only(fields)
+        return fields
 
     @property
     def _mesh_data(self) -> MeshData:

@@ -24,6 +24,7 @@ from palpate.storage.backends.atomic_files import explained, replacing, write_fi
 from palpate.storage.best_candidate import score_of
 from palpate.storage.errors import InputError
 from palpate.storage.journal_records import EvaluationRecord
+from palpate.storage.read_only import ReadOnly
 from palpate.workers.input_files import read_text
 from palpate.workers.mechanics.model_parameters import unknown_name
 
@@ -146,7 +147,7 @@ SCORES = ("gsf", "jc", "mhd_mm")
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluations:
+class Evaluations(ReadOnly):
     """A table of evaluated candidates, one row for each request, in order.
 
     Parameters

@@ -129,6 +129,8 @@ class OrganModel:
     given : object, optional
         The body itself, if ``case.reference`` only describes its labels. Default: the body
         that the case describes.
+    shown : callable, optional
+        Converts a deformed body for the caller.
 
     Raises
     ------
@@ -136,10 +138,15 @@ class OrganModel:
         If the body does not exist.
     """
 
-    def __init__(self, case: Any, given: Volume | None = None) -> None:
+    def __init__(
+        self,
+        case: Any,
+        given: Volume | None = None,
+        shown: Callable[[Volume], Volume] | None = None,
+    ) -> None:
         self.case: Any = case
         self.organ: Organ[Any, Any, Any] = organ_named(case.organ)
-        self._given = given
+        self._given, self._shown = given, shown
         if given is None:
             self.body = self.organ.make_body(case.reference)
         else:
@@ -246,4 +253,5 @@ class OrganModel:
         )
 
     def _deformed(self, displacement_mm: FloatArray) -> Volume:
-        return self.organ.picture(self.organ.deform(self.body, self.mesh, displacement_mm))
+        deformed = self.organ.picture(self.organ.deform(self.body, self.mesh, displacement_mm))
+        return deformed if self._shown is None else self._shown(deformed)

@@ -9,6 +9,7 @@ import meshio
 import numpy as np
 
 from palpate.service.simulation.body_simulation import GRADIENT_STEP, either_side
+from palpate.storage.read_only import ReadOnly
 from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.mechanics.fem.boundary_value_problem import Change, Problem
 from palpate.workers.mechanics.model_parameters import Vocabulary
@@ -68,15 +69,15 @@ class LoadedSheet:
             triangles=self.model.triangles,
             displacement_mm=displacement_mm,
             outcome=outcome,
-            sheet=self,
-            stated=stated,
-            known=at,
+            _sheet=self,
+            _stated=stated,
+            _known=at,
         )
 
 
 @dataclass(frozen=True, eq=False)
-class SheetSimulation:
-    """One simulation of a sheet of n nodes and m triangles.
+class SheetSimulation(ReadOnly):
+    """One simulation of a sheet of n nodes and m triangles; all arrays are read-only.
 
     Parameters
     ----------
@@ -92,8 +93,6 @@ class SheetSimulation:
     displacement_mm : ndarray, shape (n, 3)
     outcome : mapping of str to object
         Iterations and other figures from the solver, with units in their names.
-    sheet, stated, known
-        The model, the given constants in internal units, and the state of the solver.
     """
 
     constants: Mapping[str, float]
@@ -103,9 +102,9 @@ class SheetSimulation:
     triangles: IntArray
     displacement_mm: FloatArray
     outcome: Mapping[str, Any]
-    sheet: LoadedSheet = field(repr=False)
-    stated: Mapping[str, float] = field(repr=False)
-    known: SheetEquilibrium | None = field(repr=False, default=None)
+    _sheet: LoadedSheet = field(repr=False)
+    _stated: Mapping[str, float] = field(repr=False)
+    _known: SheetEquilibrium | None = field(repr=False, default=None)
 
     def __repr__(self) -> str:
         size = f"{len(self.nodes_mm)} nodes, {len(self.triangles)} triangles"
@@ -122,18 +121,18 @@ class SheetSimulation:
     @property
     def thickness_mm(self) -> FloatArray:
         """Thickness of each triangle after deformation, shape (m,)."""
-        stretch = self.equilibrium.response.thickness_stretch.reshape(-1, 3).mean(axis=1)
-        return np.asarray(self.sheet.model.thickness_mm * stretch)
+        stretch = self._equilibrium.response.thickness_stretch.reshape(-1, 3).mean(axis=1)
+        return np.asarray(self._sheet.model.thickness_mm * stretch)
 
     @property
     def cauchy_stress_mpa(self) -> FloatArray:
         """Cauchy stress of each triangle in MPa, shape (m, 3, 3), tension positive."""
-        return self.equilibrium.cauchy_stress_mpa
+        return self._equilibrium.cauchy_stress_mpa
 
     @property
     def reaction_n(self) -> FloatArray:
         """Reaction forces in N at the held nodes, shape (n, 3)."""
-        return self.equilibrium.reactions
+        return self._equilibrium.reactions
 
     def gradient(self, name: str) -> FloatArray:
         """Differentiate the displacement with respect to a constant.
@@ -153,13 +152,13 @@ class SheetSimulation:
         InputError
             If the constant is unknown, or the simulation did not converge.
         """
-        parameter = self.sheet.vocabulary.at_door(name)
-        values = self.sheet.complete(self.stated)
+        parameter = self._sheet.vocabulary.at_door(name)
+        values = self._sheet.complete(self._stated)
         ahead, behind = either_side(parameter, values[parameter.name], GRADIENT_STEP)
         plus, minus = (
-            self.sheet.problem({**values, parameter.name: one}) for one in (ahead, behind)
+            self._sheet.problem({**values, parameter.name: one}) for one in (ahead, behind)
         )
-        moved, _ = self.equilibrium.tangents([Change(plus, minus, ahead - behind)])
+        moved, _ = self._equilibrium.tangents([Change(plus, minus, ahead - behind)])
         return np.asarray(moved[0] * parameter.unit.to_inside(1.0))
 
     def to_meshio(self) -> meshio.Mesh:
@@ -167,12 +166,12 @@ class SheetSimulation:
         cells = {"cauchy_mpa": self.cauchy_stress_mpa, "thickness_mm": self.thickness_mm}
         return meshio.Mesh(
             self.deformed_nodes_mm,
-            [("triangle6", self.triangles)],
-            point_data={"displacement_mm": self.displacement_mm},
+            [("triangle6", self.triangles.copy())],
+            point_data={"displacement_mm": self.displacement_mm.copy()},
             cell_data={name: [values] for name, values in cells.items()},
         )
 
     @cached_property
-    def equilibrium(self) -> SheetEquilibrium:
+    def _equilibrium(self) -> SheetEquilibrium:
         """The state of the solver; recomputed if the simulation ran elsewhere."""
-        return self.known or self.sheet.solved(self.stated)
+        return self._known or self._sheet.solved(self._stated)

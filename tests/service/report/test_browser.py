@@ -97,9 +97,12 @@ def study() -> Any:
 def diagnosis() -> str:
     """Provide the egg between plates, with displacements of its points."""
     told = found()
-    points = told.maps["points"]
-    for when, ends in (("before", NOMINAL_MM), ("after", PRESSED_MM)):
-        told.maps[f"moved_{when}"] = np.stack([points / AT_REST_MM * end for end in ends])
+    points, ends_mm = told.maps["points"], {"before": NOMINAL_MM, "after": PRESSED_MM}
+    moved = {
+        f"moved_{when}": np.stack([points / AT_REST_MM * end for end in ends])
+        for when, ends in ends_mm.items()
+    }
+    told = replace(told, maps={**told.maps, **moved})
     loads = {SCANS[0]: Pressed((0, 1, 0), 40.0), SCANS[1]: Pressed((1, 0, 0), 40.0)}
     return diagnosis_page.render_diagnosis(told, Origin(loads=loads))
 

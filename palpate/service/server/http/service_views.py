@@ -6,6 +6,7 @@ The view of a study comes from its file alone. The metrics are in the text forma
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from palpate.service.number_formatting import label
 from palpate.service.results.results_from_journal import estimates_of
@@ -57,21 +58,31 @@ def job_view(service: Service, job: Job) -> JobView:
         progress = service.progress.of(folder)
     except PalpateError as error:
         return view.model_copy(update={"reason": public_text(str(error))})
-    view.sessions, view.journal_bytes = progress.sessions, progress.bytes_read
-    view.stopped = progress.stopped
-    view.files = [name for name in JOB_FILES[job.kind] if _is_offered(service, job, name)]
+    return view.model_copy(update=_progress_fields(service, job, progress))
+
+
+def _progress_fields(service: Service, job: Job, progress: JobProgress) -> dict[str, Any]:
+    """Return the fields of a view that its journal tells."""
+    fields: dict[str, Any] = {
+        "sessions": progress.sessions,
+        "journal_bytes": progress.bytes_read,
+        "stopped": progress.stopped,
+        "files": [name for name in JOB_FILES[job.kind] if _is_offered(service, job, name)],
+    }
     if job.kind == "study":
         at_most = job.request.get("most_evaluations", 0)  # not in the queues of older versions
-        view.evaluations = Evaluations(**progress.endings, at_most=at_most)
-        view.generations = progress.generations
-        view.generations_at_most = job.request.get("most_generations")
-        view.per_minute = progress.per_minute
-        if view.per_minute is not None:
-            view.left_s = left_s(progress.endings, at_most, view.per_minute)
-        view.best = _best_candidate(job, progress)
-    elif progress.phase is not None:
-        view.phase = Phase.model_validate(progress.phase)
-    return view
+        speed = progress.per_minute
+        return fields | {
+            "evaluations": Evaluations(**progress.endings, at_most=at_most),
+            "generations": progress.generations,
+            "generations_at_most": job.request.get("most_generations"),
+            "per_minute": speed,
+            "left_s": None if speed is None else left_s(progress.endings, at_most, speed),
+            "best": _best_candidate(job, progress),
+        }
+    if progress.phase is not None:
+        fields["phase"] = Phase.model_validate(progress.phase)
+    return fields
 
 
 def _best_candidate(job: Job, progress: JobProgress) -> Best | None:

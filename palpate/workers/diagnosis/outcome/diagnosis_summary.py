@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from palpate.storage.read_only import ReadOnly
 from palpate.storage.values import Triple
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.verdict.verdict import Kind
@@ -68,7 +69,7 @@ class MarkerState:
 
 
 @dataclass(frozen=True, slots=True)
-class ConfoundedEffect:
+class ConfoundedEffect(ReadOnly):
     """Constants in kPa fitted ``without`` and ``with`` a hidden effect of the given size."""
 
     name: str
@@ -173,7 +174,7 @@ class GapShrinkage:
 
 
 @dataclass(frozen=True, slots=True)
-class GapSummary:
+class GapSummary(ReadOnly):
     """The gap over all scans, in-sample and with each scan held out.
 
     Parameters
@@ -371,7 +372,7 @@ class ConstantEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class JointFitSummary:
+class JointFitSummary(ReadOnly):
     """Gain in log evidence of a joint fit of effects over the nominal model, in nats.
 
     `field_gain` is the further gain from a smooth field; `values` holds all parameters at the
@@ -456,7 +457,7 @@ class NextAcquisition:
 
 
 @dataclass(frozen=True, slots=True)
-class Summary:
+class Summary(ReadOnly):
     """A diagnosis in plain numbers.
 
     Parameters

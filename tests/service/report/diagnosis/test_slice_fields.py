@@ -14,7 +14,7 @@ def at(field: Volume, place_mm: tuple[float, float, float]) -> float:
 
 
 def test_fields_match_the_known_displacement_and_gap() -> None:
-    maps = found().maps
+    maps = dict(found().maps)
     ends = NOMINAL_MM[0]
     maps["moved_before"] = maps["points"] * (ends / HALF_AXES_MM)[None, None]
     fields = slice_fields(maps, 0, {"before": egg(ends)}, ("before", "after"))

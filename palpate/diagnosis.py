@@ -31,7 +31,7 @@ class Diagnosis(FinishedDiagnosis):
     """A completed diagnosis; see `diagnose`.
 
     - ``summary``: ``verdict``, ``primary`` (the named effects), ``effects`` with their
-      probabilities and magnitudes, ``constants`` and ``gap_mm``,
+      gains and magnitudes, ``constants`` and ``gap_mm``,
     - ``maps``: read-only arrays of the points on the interfaces and their residuals in mm,
     - ``scans``: the names of the loaded scans.
     """
@@ -89,7 +89,7 @@ def diagnose(
     Returns
     -------
     Diagnosis
-        ``summary`` with verdict, probabilities, magnitudes and gaps in mm; ``maps`` with
+        ``summary`` with verdict, gains, magnitudes and gaps in mm; ``maps`` with
         the residuals on the interfaces in mm.
 
     Raises

@@ -4,7 +4,7 @@
 
     palpate diagnose examples/diagnosis/hidden.yaml
     python docs/pictures/screenshot.py runs/hidden/diagnosis.html diagnosis.png
-    python docs/pictures/screenshot.py runs/hidden/diagnosis.html causes.png "#causes"
+    python docs/pictures/screenshot.py runs/hidden/diagnosis.html causes.png "#causes figure"
 """
 
 import shutil
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from playwright.sync_api import sync_playwright
 
-WIDTH, HEIGHT = 1100, 720
+WIDTH, HEIGHT = 1100, 760
 
 
 def draw(page: Path, out: Path, section: str | None) -> None:
@@ -24,7 +24,7 @@ def draw(page: Path, out: Path, section: str | None) -> None:
         shown = running.new_page(viewport={"width": WIDTH, "height": HEIGHT})
         shown.goto(page.resolve().as_uri())
         shown.wait_for_timeout(1500)
-        (shown.locator(section) if section else shown).screenshot(path=out)
+        (shown.locator(section).first if section else shown).screenshot(path=out)
         running.close()
 
 

@@ -10,11 +10,11 @@ from rich.console import Console
 
 from palpate.service.commands.studies.diagnosing import print_verdict
 from palpate.service.diagnosis.diagnosis_words import (
-    ADD_UP,
-    bayes_factor,
     headline,
     magnitude,
     planned_amounts,
+    power,
+    seen_from,
 )
 from palpate.service.number_formatting import number, share
 from palpate.service.report.diagnosis import diagnosis_tables as tables
@@ -32,7 +32,7 @@ from palpate.workers.mechanics.model_parameters import (
 from palpate.workers.organs.breast.breast_effects import BREAST_EFFECTS, BREAST_MODEL
 from palpate.workers.organs.cornea.cornea_effects import CORNEA_EFFECTS
 from palpate.workers.organs.specimen.specimen_effects import specimen_effects
-from tests.service.report.diagnosis_at_hand import effect, parameter, summary
+from tests.service.report.diagnosis_at_hand import VERDICTS, effect, parameter, summary
 
 DOWN = (0.0, -1.0, 0.0)
 EFFECTS: list[Effect] = [
@@ -103,13 +103,13 @@ def test_shown_poisson_ratio_equals_the_applied_one() -> None:
     assert found.value == pytest.approx(changed.constants[2].poisson)
 
 
-def with_gravity(probability: float) -> Summary:
+def with_gravity() -> Summary:
     """Return a diagnosis of a missing weight, in multiples of gravity."""
     found: Summary = from_json(Summary, summary())
     lead = ShownMagnitude(0.7512, 0.669, 0.833, 0.0, "times gravity along z")
-    gravity = replace(found.effects[-1], name="gravity_change", probability=probability, shown=lead)
+    gravity = replace(found.effects[-1], name="gravity_change", shown=lead)
     effects = (*found.effects[:-1], gravity)
-    return replace(found, effects=effects, primary=("gravity_change",), set90=("gravity_change",))
+    return replace(found, effects=effects, primary=("gravity_change",))
 
 
 def printed(found: Summary) -> str:
@@ -120,18 +120,45 @@ def printed(found: Summary) -> str:
 
 def test_headline_has_unit_interval_and_model_value() -> None:
     assert (
-        "gravity change (0.75 times gravity along z, 0.67 to 0.83, model: 0, probability > 99 %)"
-    ) in headline(with_gravity(0.9956))
+        "gravity change (0.75 times gravity along z, 0.67 to 0.83, model: 0, strong evidence)"
+    ) in headline(with_gravity())
 
 
-def test_the_terminal_explains_why_probabilities_add_up_to_more_than_one() -> None:
-    said = printed(with_gravity(0.9956))
-    assert ADD_UP in said
-    assert "0.75 times gravity along z (0.67 to 0.83; model: 0)" in said
+def test_the_terminal_lists_the_fitted_causes_with_their_evidence() -> None:
+    lines = [" ".join(line.split()) for line in printed(with_gravity()).splitlines()]
+    gravity = "gravity change strong 0.75 times gravity along z (0.67 to 0.83; model: 0) 1 %"
+    assert lines.index(gravity) < lines.index("plate flex strong 8.0 ± 1.0 mm 5 %")
+    assert not any(line.startswith("plate force") for line in lines)
+
+
+def test_the_terminal_says_what_a_verdict_of_no_gap_rules_out() -> None:
+    said = (
+        "These scans would have shown, from this size on: plate flex 2 mm and plate tilt 1.3 deg."
+    )
+    silent = from_json(Summary, VERDICTS["no gap"])
+    assert said in printed(silent)
+    assert said not in printed(with_gravity())
+    blind = [replace(one, seen_from=None) for one in silent.effects]
+    assert power(replace(silent, effects=tuple(blind))) == ""
+
+
+def test_the_least_visible_size_has_the_unit_of_the_magnitude() -> None:
+    one = from_json(Summary, summary()).effects[0]
+    for name, size, expected in (
+        ("ln_plate_force", math.log(1.13), "13 %"),
+        ("friction", 0.214, "0.21"),
+        ("creep", 0.052, "5.2 %"),
+        ("tilt_depth", 1.26, "1.3 deg"),
+    ):
+        parameter_read = PARAMETERS[name]
+        least, unit = shown_change(parameter_read.reading, size, parameter_read.unit.symbol)
+        assert seen_from(replace(one, seen_from=least, seen_unit=unit)) == expected
+    for size, expected in ((math.inf, "–"), (101.0, "–"), (99.0, "99 %")):
+        assert seen_from(replace(one, seen_from=size, seen_unit="%")) == expected
 
 
 def test_json_has_displayed_and_fitted_values() -> None:
-    found = with_gravity(0.9956)
+    found = with_gravity()
     record: Any = to_json(found)
     shown_effect = record["effects"][-1]
     assert shown_effect["shown"]["unit"] == "times gravity along z"
@@ -141,22 +168,10 @@ def test_json_has_displayed_and_fitted_values() -> None:
 
 
 def test_older_records_are_shown_with_a_standard_deviation() -> None:
-    row = tables.effect_table(
-        from_json(
-            Summary,
-            summary(
-                effects=[effect("old", "loading", 0.5, 0.0, parameter("a_mm", 5.48, 0.27, "mm"))]
-            ),
-        ).effects,
-        (),
-    )[0]
+    old = effect("old", "loading", 8.0, 0.0, parameter("a_mm", 5.48, 0.27, "mm"))
+    found = from_json(Summary, summary(primary=[], effects=[old]))
+    (row,) = tables.effect_table(found)
     assert row.magnitudes == (("a", "5.48 ± 0.27 mm"),)
-
-
-def test_table_shows_bayes_factors_without_logarithms() -> None:
-    row = tables.effect_table(from_json(Summary, summary()).effects, ())[0]
-    assert row.factor == "> 1000"
-    assert [bayes_factor(v) for v in (0.0, 3.0, -3.0)] == ["1.0", "20", "0.050"]
 
 
 def test_a_plan_shows_the_least_ratio_in_per_cent() -> None:

@@ -196,7 +196,7 @@ def test_no_holder_changes_what_it_was_given(objects: dict[str, Any]) -> None:
         assert not differing
     assert tried > {
         "Breast.body.values", "Breast.case.constants", "CorneaSimulation.deformed.anterior_mm",
-        "Comparison.settings", "Diagnosis.maps[points]", "Diagnosis.summary.families",
+        "Comparison.settings", "Diagnosis.maps[points]", "Diagnosis.summary.constants",
         "Evaluations.records[0].genes", "Job.results", "Job.status.best.genes", "Samples.units",
         "JobEvent.record[list]", "SheetSimulation.triangles", "Simulation.cauchy_stress_mpa",
         "Simulation.deformed.values", "Simulation.outcome", "Study.spec.search.parameters",

@@ -123,6 +123,8 @@ def measured() -> palpate.Diagnosis:
     summary = replace(
         made.summary,
         primary=tuple(names),
+        rivals=tuple(names),
+        effects=tuple(replace(made.summary.effects[0], name=name) for name in names),
         markers=(MarkerState("pulled", None, points),),
         predictions=(predicted,),
         hidden=(ConfoundedEffect("wall", {"wall_kpa": 1.0}, sizes),),

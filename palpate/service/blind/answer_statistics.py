@@ -1,13 +1,7 @@
-"""Statistics of answers: shares and means with intervals, calibration, counts of confusions.
-
-For the calibration of the stated probabilities, each case makes a statement about every possible
-cause: that there is no gap, that none of the effects explains it, that a certain effect acts. A
-statement is true or false and has a stated probability. For relatives of effects the statements
-are about families and about no gap, since it is a matter of interpretation which effect applies.
-"""
+"""Statistics of answers: shares and means with intervals, reliability, counts of confusions."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 
@@ -15,8 +9,8 @@ import numpy as np
 from scipy.stats import norm
 
 from palpate.service.blind.case_truth import FAILED, GROUPS, CaseRecord
-from palpate.storage.values import FloatArray
-from palpate.workers.diagnosis.verdict.verdict import NO_GAP, NONE_OF_THESE
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.verdict.cause_selection import NO_GAP, NONE_OF_THESE
 
 LEVEL = 0.95
 DRAWS = 2000
@@ -67,49 +61,12 @@ def mean(values: Sequence[float]) -> Estimate:
     return _estimate(float(np.mean(values)), drawn, len(values))
 
 
-def of_sums(values: FloatArray, figure: Callable[[FloatArray], FloatArray]) -> Estimate:
-    """Return a function of sums over cases, with its bootstrap interval over cases.
-
-    Parameters
-    ----------
-    values : ndarray, shape (n, ...)
-        Contribution of each case.
-    figure : callable
-        Maps draws of the sums, shape (d, ...), to shape (d,).
-    """
-    drawn = figure(values[_draws(len(values))].sum(axis=1))
-    return _estimate(float(figure(values.sum(axis=0)[None])[0]), drawn, len(values))
-
-
 def median(values: Sequence[float]) -> Estimate:
     """Return the median, with its bootstrap interval over cases."""
     if not values:
         return NOTHING
     drawn = np.median(np.asarray(values)[_draws(len(values))], axis=1)
     return _estimate(float(np.median(values)), drawn, len(values))
-
-
-def correlation(x: Sequence[float], y: Sequence[float]) -> Estimate:
-    """Return Pearson's correlation and its bootstrap interval; None below three cases."""
-    n = len(x)
-    if n < 3:
-        return Estimate(None, None, None, n)
-    a, b = np.asarray(x, np.float64), np.asarray(y, np.float64)
-    index = _draws(n)
-    drawn = _pearson(a[index], b[index])
-    value = float(_pearson(a[None], b[None])[0])
-    if not np.isfinite(value):
-        return Estimate(None, None, None, n)
-    return _estimate(value, drawn[np.isfinite(drawn)], n)
-
-
-def _pearson(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return Pearson's correlation of each row; NaN if a row is constant."""
-    a = a - a.mean(axis=1, keepdims=True)
-    b = b - b.mean(axis=1, keepdims=True)
-    size = np.sqrt((a**2).sum(1) * (b**2).sum(1))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(size > 1e-15, (a * b).sum(1) / size, np.nan)
 
 
 def _draws(n: int) -> np.ndarray:
@@ -122,109 +79,41 @@ def _estimate(value: float, drawn: np.ndarray, count: int) -> Estimate:
     return Estimate(value, low, high, count)
 
 
-BINS = 10
-# A statement with at least this probability is sure.
-SURE = 0.9
-# Lower bound on the stated probability of a true statement.
-LEAST = 1e-4
+# Limits of the bands of gain, in nats; the first is the least gain of a named effect.
+BANDS = (SETTINGS.selection.first, 20.0, 50.0)
 
 
 @dataclass(frozen=True)
-class Bin:
-    """Statements of similar probability.
+class Band:
+    """Diagnoses whose first named effect gains about as much.
 
     Parameters
     ----------
-    low, high : float
-        Range of probabilities; the last bin includes its upper end.
-    said : float or None
-        Mean stated probability.
-    came_true : Estimate
-        Share of true statements.
+    above, up_to : float, float or None
+        Range of gains, in nats; the last band has no upper limit.
+    named : Estimate
+        Share of certain diagnoses whose first effect acts.
+    unsure : Estimate
+        Share of the others, whose first effect cannot be told apart from its rivals, where one of
+        these acts.
     """
 
-    low: float
-    high: float
-    said: float | None
-    came_true: Estimate
+    above: float
+    up_to: float | None
+    named: Estimate
+    unsure: Estimate
 
 
-def statements(record: CaseRecord) -> list[tuple[float, bool]]:
-    """Return the stated probabilities of an answer, each with the truth of its statement."""
-    if record.group == "relative":
-        of_families = record.family_probabilities.items()
-        said = [(p, family in record.families) for family, p in of_families]
-        return said + [(p, False) for cause, p in record.probabilities.items() if cause == NO_GAP]
-    true = set(record.true_causes)
-    return [(p, cause in true) for cause, p in record.probabilities.items()]
-
-
-def brier(records: Sequence[CaseRecord]) -> Estimate:
-    """Return the sum of (probability - truth)^2, averaged over the cases; 0 is perfect.
-
-    Source: G. W. Brier, Monthly Weather Review 78 (1950) 1.
-    """
-    scored = [s for record in records if (s := statements(record))]
-    return mean([sum((p - true) ** 2 for p, true in s) for s in scored])
-
-
-def log_score(records: Sequence[CaseRecord]) -> Estimate:
-    """Return the sum of minus log(probability of the truth), averaged over cases; 0 is perfect.
-
-    Source: I. J. Good, J. R. Stat. Soc. B 14 (1952) 107.
-    """
-    scored = [s for record in records if (s := statements(record))]
-    return mean([sum(-np.log(max(p if true else 1 - p, LEAST)) for p, true in s) for s in scored])
-
-
-def calibration_error(records: Sequence[CaseRecord], bins: int = BINS) -> Estimate:
-    """Return the expected calibration error, with the interval of a bootstrap over cases.
-
-    This is the mean, over all statements, of the distance between the share of true statements and
-    the stated probability, in bins of similar probability (M. P. Naeini, G. F. Cooper and M.
-    Hauskrecht, AAAI 2015, 2901).
-    """
-    tables = []
-    for s in filter(None, map(statements, records)):
-        p, true = np.array([one[0] for one in s]), np.array([one[1] for one in s], np.float64)
-        number = np.minimum((p * bins).astype(int), bins - 1)
-        tables.append([np.bincount(number, w, bins) for w in (np.ones(len(s)), p, true)])
-    return of_sums(np.array(tables), _error_of_sums) if tables else NOTHING
-
-
-def _error_of_sums(sums: FloatArray) -> FloatArray:
-    """Return the error from sums of ones, probabilities and truths by bin, (draws, 3, bins)."""
-    return np.asarray(np.abs(sums[:, 1] - sums[:, 2]).sum(axis=1) / sums[:, 0].sum(axis=1))
-
-
-def sure_statements(records: Sequence[CaseRecord]) -> Estimate:
-    """Return the fraction of statements with a probability of 90 % or more that are true."""
-    made = [s for record in records for s in statements(record)]
-    return share([true for p, true in made if p >= SURE])
-
-
-def brier_of_base_rates(records: Sequence[CaseRecord]) -> Estimate:
-    """Return the Brier score of always stating each cause's frequency in the set."""
-    scored = [r for r in records if statements(r) and r.group != "relative"]
-    if not scored:
-        return NOTHING
-    causes = sorted({cause for r in scored for cause in r.probabilities})
-    rate = {c: float(np.mean([c in r.true_causes for r in scored])) for c in causes}
-    return mean(
-        [sum((rate[c] - (c in r.true_causes)) ** 2 for c in r.probabilities) for r in scored]
-    )
-
-
-def calibration_curve(records: Sequence[CaseRecord], bins: int = BINS) -> list[Bin]:
-    """Return the statements grouped by stated probability."""
-    made = [s for record in records for s in statements(record)]
-    number = [min(int(p * bins), bins - 1) for p, _ in made]
-    out = []
-    for k in range(bins):
-        own = [s for s, n in zip(made, number, strict=True) if n == k]
-        said = float(np.mean([p for p, _ in own])) if own else None
-        out.append(Bin(k / bins, (k + 1) / bins, said, share([true for _, true in own])))
-    return out
+def reliability(records: Sequence[CaseRecord]) -> list[Band]:
+    """Return how often the first named effect is right, by its gain."""
+    bands = []
+    for above, up_to in zip(BANDS, (*BANDS[1:], None), strict=True):
+        own = [r for r in records if r.primary and r.gain is not None and r.gain > above]
+        own = [r for r in own if up_to is None or (r.gain or 0.0) <= up_to]
+        named = share([r.right_first for r in own if r.named])
+        unsure = share([r.right_among(r.rivals) for r in own if not r.named])
+        bands.append(Band(above, up_to, named, unsure))
+    return bands
 
 
 ORDER = tuple(GROUPS)
@@ -245,7 +134,7 @@ class Confusion:
     counts : tuple of tuple of int
         One tuple for each row.
     right : frozenset of (int, int)
-        Row and column of correct answers.
+        Row and column of answers that are all correct.
     """
 
     rows: tuple[str, ...]
@@ -263,9 +152,10 @@ def confusion(records: Sequence[CaseRecord]) -> Confusion:
     others = sorted(answers - set(effects) - {NO_GAP, *ENDS})
     columns = (NO_GAP, *dict.fromkeys(effects), *others, *(e for e in ENDS if e in answers))
     count = Counter((true_name(r), said_name(r)) for r in records)
-    right = {(rows.index(true_name(r)), columns.index(said_name(r))) for r in records if r.right}
+    places = [(rows.index(true_name(r)), columns.index(said_name(r))) for r in records]
+    wrong = {place for r, place in zip(records, places, strict=True) if not r.right}
     counts = tuple(tuple(count[row, column] for column in columns) for row in rows)
-    return Confusion(rows, columns, counts, frozenset(right))
+    return Confusion(rows, columns, counts, frozenset(places) - wrong)
 
 
 def true_name(record: CaseRecord) -> str:

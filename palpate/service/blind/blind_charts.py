@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from palpate.service.blind.answer_statistics import Bin, Confusion
+from palpate.service.blind.answer_statistics import Confusion
 from palpate.service.diagnosis.diagnosis_words import spoken
-from palpate.service.report.drawing.colours import BLUE, GREY, INK, ORANGE, RULE, SOFT_INK
+from palpate.service.report.drawing.colours import BLUE, GREY, INK, ORANGE, RULE
 from palpate.service.report.drawing.matplotlib_figures import (
     SMALL_PT,
     TEXT_PT,
@@ -26,13 +26,10 @@ WIDTH_IN = 10.4
 CENTRED: Mapping[str, Any] = {"ha": "center", "va": "center"}
 SLANTED: Mapping[str, Any] = {"rotation": 35, "ha": "left", "rotation_mode": "anchor"}
 FRAME: Mapping[str, Any] = {"fill": False, "edgecolor": INK, "linewidth": 1.6, "zorder": 3}
-BESIDE: Mapping[str, Any] = {"textcoords": "offset points", "fontsize": SMALL_PT}
 FLOOR: Mapping[str, Any] = {"color": INK, "linewidth": 1.1, "linestyle": (0, (2, 2))}
 COUNTS = LinearSegmentedColormap.from_list("counts", ["#ffffff", "#9fc3dc", "#0072b2"])
 # Counts on cells darker than this are white.
 DARK = 0.6
-# The number of a dot lower than this is above it, clear of the axis.
-LOW = 0.1
 
 
 def heat_map(table: Confusion) -> Figure:
@@ -60,27 +57,11 @@ def heat_map(table: Confusion) -> Figure:
     return drawn
 
 
-def curve(bins: Sequence[Bin]) -> Figure:
-    """Draw the share of true statements against their stated probability."""
-    drawn = figure(5.1, 4.4)
-    axes = _square(drawn, "stated probability", "share of true statements")
-    for b in bins:
-        share = b.came_true
-        if b.said is None or share.value is None or share.low is None or share.high is None:
-            continue
-        axes.plot([b.said, b.said], [share.low, share.high], color=GREY, linewidth=1.3)
-        axes.plot(b.said, share.value, "o", color=BLUE, markersize=7)
-        below = -9 if share.value > LOW else 5
-        point, text = (b.said, share.value), f"{share.count}"
-        axes.annotate(text, point, (6, below), color=SOFT_INK, **BESIDE)
-    return drawn
-
-
 def shrinkage(held_out: Sequence[Pair], inside: Sequence[Pair]) -> Figure:
     """Draw claimed against true shrinkage, from pairs (claimed, true)."""
     drawn = figure(5.1, 4.4)
     axes = _square(drawn, "true shrinkage", "claimed shrinkage")
-    _dots(axes, inside, ORANGE, "s", "averaged over the causes")
+    _dots(axes, inside, ORANGE, "s", "on the same scans")
     _dots(axes, held_out, BLUE, "o", "on unseen scans")
     low = min([0.0, *(min(pair) for pair in [*held_out, *inside])]) - 0.05
     axes.set(xlim=(max(low, -1.0), 1.05), ylim=(max(low, -1.0), 1.05))

@@ -11,29 +11,15 @@ from typing import Literal
 
 import numpy as np
 
-from palpate.service.blind.answer_statistics import (
-    SURE,
-    Estimate,
-    brier,
-    brier_of_base_rates,
-    calibration_error,
-    correlation,
-    log_score,
-    mean,
-    median,
-    share,
-    sure_statements,
-)
+from palpate.service.blind.answer_statistics import Estimate, mean, median, share
 from palpate.service.blind.case_truth import MAPPED, CaseRecord
 from palpate.service.blind.set_answering import baseline_threshold
-from palpate.workers.diagnosis.verdict.verdict import NO_GAP, NONE_OF_THESE
+from palpate.workers.diagnosis.verdict.cause_selection import NO_GAP
 
-Unit = Literal["share", "mm", "number"]
+Unit = Literal["share", "part", "mm", "number"]
+"""A share is a number of cases out of all; a part is a fraction of something else."""
+
 VISIBLE = 1.5
-CLEAR = 3.0
-# Standard deviations: 8 nats, about 5 for the search over two dozen effects of any size, and
-# 3 for odds of twenty to one.
-STRONG = 4.0
 # Tolerances of a gap: absolute, and relative.
 GAP_MM, GAP_PART = 0.05, 0.25
 
@@ -58,7 +44,7 @@ class Metric:
     ----------
     key, title : str
     estimate : Estimate
-    unit : {"share", "mm", "number"}
+    unit : {"share", "part", "mm", "number"}
     target : Target or None
         None if the metric is only informative.
     met : bool or None
@@ -117,119 +103,79 @@ def metrics(records: Records) -> list[Metric]:
     return [
         *_alarms(records),
         *_singles(records, floor),
-        *_others(records, floor),
+        *_pairs_and_triples(records, floor),
+        *_outside(records, floor),
         *_gaps(records),
         *_shrinkages(records),
         *_sizes(records),
-        *_probabilities(records),
         *_baselines(records, floor),
     ]
 
 
 def _alarms(records: Records) -> Iterable[Metric]:
-    silent = [r for r in records if r.silent]
-    alarms = share([r.answer != "no-gap" for r in silent])
-    yield _metric(
-        "false_alarms", "False alarms on controls and hidden effects", alarms, _at_most(0.05)
-    )
-    sure = share([r.named or r.probabilities.get(NONE_OF_THESE, 0.0) >= SURE for r in silent])
-    yield _metric(
-        "sure_alarms", f"False alarms with a probability of {100 * SURE:.0f} % or more", sure
-    )
+    alarms = share([r.answer != NO_GAP for r in records if r.silent])
+    title = "False alarms on controls and hidden effects"
+    yield _metric("false_alarms", title, alarms, _at_most(0.05))
     named = [r for r in records if r.named]
     acts = share([r.right_first for r in named])
-    yield _metric("named_right", "A named effect acts", acts, _at_least(0.95))
-    known = [r for r in named if r.group not in ("unlike", "relative")]
-    strict = share([r.strictly_right for r in known])
-    yield _metric("strict", "No superfluous effect is named", strict, _at_least(0.80))
-    unsure = [r for r in records if r.answer == "cannot-be-told-apart"]
-    first = share([r.right_first for r in unsure])
-    yield _metric("unsure_right", "The first of several indistinguishable effects acts", first)
+    yield _metric("named_right", "The first named effect acts", acts, _at_least(0.95))
+    complete = share([r.complete for r in named if r.group != "relative"])
+    yield _metric("complete", "Exactly the acting effects are named", complete)
 
 
 def _singles(records: Records, floor: float | None) -> Iterable[Metric]:
-    singles = [r for r in records if r.group == "single"]
-    in_sight = [r for r in singles if visible(r, floor)]
-    title = "One effect, visible: ranked first"
-    yield _metric("first_visible", title, _right_first(in_sight), _at_least(0.90))
-    for key, stratum, chosen in strata(singles, floor):
-        title = f"One effect, {stratum}: ranked first"
-        yield _metric(f"first_{key}", title, _right_first(chosen))
-    for key, stratum, chosen in by_strength(singles):
-        title = f"One effect, {stratum}: ranked first"
-        yield _metric(f"first_{key}", title, _right_first(chosen))
-    covered = share([r.covered for r in singles])
-    yield _metric("covered", "One effect: in the 90 % set", covered, _at_least(0.90))
-    covered = share([r.covered for r in in_sight])
-    yield _metric("covered_visible", "One effect, visible: in the 90 % set", covered)
+    in_sight = [r for r in records if r.group == "single" and visible(r, floor)]
+    first = share([r.right_first for r in in_sight])
+    title = "One effect, visible: named first"
+    yield _metric("first_visible", title, first, _at_least(0.90))
+    among = share([r.right_among((*r.primary, *r.rivals)) for r in in_sight])
+    title = "One effect, visible: among the named effects and their rivals"
+    yield _metric("among_visible", title, among)
 
 
-def strata(records: Records, floor: float | None) -> list[tuple[str, str, list[CaseRecord]]]:
-    """Return cases grouped by their true gap in units of the floor; none without a floor."""
-    if floor is None:
-        return []
-    known = [(r, r.true_before_mm / floor) for r in records if r.true_before_mm is not None]
-    faint = [r for r, g in known if g <= VISIBLE]
-    middling = [r for r, g in known if VISIBLE < g <= CLEAR]
-    clear = [r for r, g in known if g > CLEAR]
-    return [
-        ("faint", f"gap up to {VISIBLE:g} floors", faint),
-        ("middling", f"gap of {VISIBLE:g} to {CLEAR:g} floors", middling),
-        ("clear", f"gap above {CLEAR:g} floors", clear),
-    ]
+def _pairs_and_triples(records: Records, floor: float | None) -> Iterable[Metric]:
+    for group, count, *targets in (
+        ("pair", "Two", _at_least(0.90), _at_least(0.40)),
+        ("triple", "Three", None, None),
+    ):
+        in_sight = [r for r in records if r.group == group and visible(r, floor)]
+        first = share([r.right_first for r in in_sight])
+        title = f"{count} effects, visible: one of them is named first"
+        yield _metric(f"{group}s_first", title, first, targets[0])
+        complete = share([r.complete for r in in_sight])
+        title = f"{count} effects, visible: all are named, and no other"
+        yield _metric(f"{group}s_complete", title, complete, targets[1])
 
 
-def by_strength(records: Records) -> list[tuple[str, str, list[CaseRecord]]]:
-    """Return cases grouped by the size of their effect in standard deviations."""
-    known = [(r, r.strength) for r in records if r.strength is not None]
-    weak = [r for r, s in known if s < STRONG]
-    strong = [r for r, s in known if s >= STRONG]
-    deviations = f"{STRONG:g} standard deviations of its estimate"
-    return [("weak", f"below {deviations}", weak), ("strong", f"of {deviations} or more", strong)]
-
-
-def _others(records: Records, floor: float | None) -> Iterable[Metric]:
+def _outside(records: Records, floor: float | None) -> Iterable[Metric]:
     in_sight = [r for r in records if visible(r, floor)]
-    unlike = _none_of_these([r for r in in_sight if r.group == "unlike"])
-    title = "Unlike any effect, visible: answered none of these"
+    called = "answered none of these, or something else"
+    unlike = share([r.outside for r in in_sight if r.group == "unlike"])
+    title = f"Unlike any effect, visible: {called}"
     yield _metric("unlike_visible", title, unlike, _at_least(0.80))
-    careful = share([r.is_careful for r in in_sight if r.group == "unlike"])
-    title = "Unlike any effect, visible: answered none of these, or uncertain"
-    yield _metric("unlike_careful", title, careful, _at_least(0.85))
-    unlike = _none_of_these([r for r in records if r.group == "unlike"])
-    yield _metric("unlike", "Unlike any effect, all: answered none of these", unlike)
-    family = share([r.right_family for r in in_sight if r.group == "relative"])
-    title = "Relative of an effect, visible: family is named"
+    relatives = [r for r in in_sight if r.group == "relative"]
+    title = f"Relative of an effect, visible: {called}"
+    yield _metric("relatives_outside", title, share([r.outside for r in relatives]))
+    family = share([r.right_first for r in relatives])
+    title = "Relative of an effect, visible: family is named first"
     yield _metric("relatives", title, family, _at_least(0.80))
-    pairs = [r for r in in_sight if r.group == "pair"]
-    dominant = share([r.first in r.effects for r in pairs])
-    title = "Two effects, visible: one of them is ranked first"
-    yield _metric("pairs_first", title, dominant, _at_least(0.90))
-    both = share([set(r.primary) == set(r.effects) for r in pairs])
-    yield _metric("pairs_both", "Two effects, visible: both are named", both, _at_least(0.40))
-    triples = [r for r in in_sight if r.group == "triple"]
-    first = share([r.first in r.effects for r in triples])
-    yield _metric("triples_first", "Three effects, visible: one of them is ranked first", first)
-    two = share([len(set(r.primary) & set(r.effects)) >= 2 for r in triples])
-    title = "Three effects, visible: two of them are named"
-    yield _metric("triples_two", title, two, _at_least(0.50))
 
 
 def _gaps(records: Records) -> Iterable[Metric]:
-    before = _both(records, lambda r: r.claimed_before_mm, lambda r: r.true_before_mm)
+    before = both_known(records, lambda r: r.claimed_before_mm, lambda r: r.true_before_mm)
     error = mean([abs(c - t) for c, t in before])
     part = mean([abs(c - t) / t for c, t in before if t > 0])
     met = None if error.value is None else error.value <= GAP_MM or (part.value or 1.0) <= GAP_PART
     title = "Error of the nominal gap, or at most 25 % of it"
     yield Metric("gap_error", title, error, "mm", _at_most(GAP_MM), met)
-    yield _metric("gap_error_part", "Relative error of the nominal gap", part)
-    slid = _both(records, lambda r: r.claimed_before_mm, lambda r: r.true_material_mm)
+    yield _metric("gap_error_part", "Relative error of the nominal gap", part, unit="part")
+    slid = both_known(records, lambda r: r.claimed_before_mm, lambda r: r.true_material_mm)
     error = mean([abs(c - t) for c, t in slid])
     title = "Error of the nominal gap, measured at material points"
     yield _metric("gap_error_material", title, error, unit="mm")
     within = _within(records, lambda r: r.gap_interval_mm, lambda r: r.true_before_mm)
     yield _metric("gap_within", "True nominal gap within its 90 % interval", within)
-    after = _both(records, lambda r: r.claimed_after_mm, lambda r: r.true_after_mm)
+    after = both_known(records, lambda r: r.claimed_after_mm, lambda r: r.true_after_mm)
     error = mean([abs(c - t) for c, t in after])
     yield _metric("gap_after_error", "Error of the gap with the named effects", error, unit="mm")
 
@@ -237,30 +183,13 @@ def _gaps(records: Records) -> Iterable[Metric]:
 def _shrinkages(records: Records) -> Iterable[Metric]:
     within = _within(records, lambda r: r.share_interval, lambda r: r.true_share)
     yield _metric("shrinkage_within", "True shrinkage within its 90 % interval", within)
-    targets = _at_most(0.12), _at_least(0.85)
-    claims = (
+    for key, where, claimed in (
         ("claimed", "", lambda r: r.claimed_share),
         ("held_out", " on unseen scans", lambda r: r.held_out_share),
-    )
-    for key, where, claimed in claims:
-        yield from _shrinkage(records, key, where, claimed, targets)
-
-
-def _shrinkage(
-    records: Records,
-    key: str,
-    where: str,
-    claimed: Callable[[CaseRecord], float | None],
-    targets: tuple[Target, Target],
-) -> Iterable[Metric]:
-    """Yield the error and the correlation of the claimed shrinkage, with their targets."""
-    pairs = _both(records, claimed, lambda r: r.true_share)
-    error = mean([abs(c - t) for c, t in pairs])
-    title = f"Error of the claimed shrinkage{where}"
-    yield _metric(f"shrinkage_error_{key}", title, error, targets[0], "number")
-    along = correlation([c for c, _ in pairs], [t for _, t in pairs])
-    title = f"Correlation of claimed and true shrinkage{where}"
-    yield _metric(f"shrinkage_correlation_{key}", title, along, targets[1], "number")
+    ):
+        error = mean([abs(c - t) for c, t in both_known(records, claimed, lambda r: r.true_share)])
+        title = f"Error of the claimed shrinkage{where}"
+        yield _metric(f"shrinkage_error_{key}", title, error, _at_most(0.12), "number")
 
 
 def _sizes(records: Records) -> Iterable[Metric]:
@@ -269,7 +198,7 @@ def _sizes(records: Records) -> Iterable[Metric]:
     unnamed = mean([mm for mm, is_named in lumps if not is_named and mm is not None])
     title = "Lump is named: distance from its centre to the true one"
     yield _metric("lump", title, named, _at_most(3.0), "mm")
-    title = "Lump is not named: distance from its most probable centre to the true one"
+    title = "Lump is not named: distance from its fitted centre to the true one"
     yield _metric("lump_unnamed", title, unnamed, unit="mm")
     sizes = [m for r in records if r.right_first for m in r.magnitudes]
     errors = [abs(m.found - m.true) / m.sd for m in sizes if m.sd > 0]
@@ -278,21 +207,7 @@ def _sizes(records: Records) -> Iterable[Metric]:
     within = share([error <= 2 for error in errors])
     yield _metric("magnitude_within", "Magnitudes within two standard deviations", within)
     part = [abs(m.found / m.true - 1) for m in sizes if m.true]
-    yield _metric("magnitude_part", "Relative error of a magnitude", median(part))
-
-
-def _probabilities(records: Records) -> Iterable[Metric]:
-    score, naive = brier(records), brier_of_base_rates(records)
-    sure = sure_statements(records)
-    title = "Statements of 90 % or more that are true"
-    yield _metric("sure_statements", title, sure, _at_least(0.93))
-    error = calibration_error(records)
-    title = "Expected calibration error of all statements"
-    yield _metric("calibration_error", title, error, _at_most(0.06), unit="number")
-    yield _metric("log_score", "Log score of all statements", log_score(records), unit="number")
-    yield _metric("brier", "Brier score of all statements", score, unit="number")
-    title = "Brier score of the base rates"
-    yield _metric("brier_naive", title, naive, unit="number")
+    yield _metric("magnitude_part", "Relative error of a magnitude", median(part), unit="part")
 
 
 def _baselines(records: Records, floor: float | None) -> Iterable[Metric]:
@@ -301,23 +216,23 @@ def _baselines(records: Records, floor: float | None) -> Iterable[Metric]:
     titles = {"raw_correlation": "largest raw correlation", "refit": "one refit at a time"}
     for key, title in titles.items():
         right = share([r.named_by.get(key) in r.effects for r in in_sight])
-        yield _metric(f"baseline_{key}", f"Baseline, {title}: ranked first", right)
+        yield _metric(f"baseline_{key}", f"Baseline, {title}: named first", right)
         least = _threshold(records, key)
         if least is not None:
             spoken = [
                 r.named_by.get(key) in r.effects and r.loudness.get(key, 0.0) > least
                 for r in in_sight
             ]
-            also = f"Baseline, {title}, with as few false alarms: ranked first"
+            also = f"Baseline, {title}, with as many false alarms: named first"
             yield _metric(f"baseline_{key}_silent", also, share(spoken))
     chance = [1 / r.catalogue for r in in_sight if r.catalogue]
     value = float(np.mean(chance)) if chance else None
     estimate = Estimate(value, value, value, len(chance))
-    yield _metric("baseline_chance", "Baseline, chance: ranked first", estimate)
+    yield _metric("baseline_chance", "Baseline, chance: named first", estimate, unit="part")
 
 
 def _threshold(records: Records, key: str) -> float | None:
-    """Return the threshold at which a baseline has as few false alarms as the diagnosis.
+    """Return the threshold at which a baseline has as many false alarms as the diagnosis.
 
     None if every body lacks an effect.
     """
@@ -328,20 +243,19 @@ def _threshold(records: Records, key: str) -> float | None:
     return baseline_threshold([r.loudness[key] for r in silent], alarms)
 
 
-def _right_first(records: Records) -> Estimate:
-    return share([r.right_first for r in records])
-
-
-def _none_of_these(records: Records) -> Estimate:
-    return share([r.answer == NONE_OF_THESE for r in records])
-
-
-def _both(
+def both_known(
     records: Records,
     claimed: Callable[[CaseRecord], float | None],
     true: Callable[[CaseRecord], float | None],
 ) -> list[tuple[float, float]]:
-    """Return claimed and true values of the cases for which both are known."""
+    """Return claimed and true values of the cases for which both are known.
+
+    Parameters
+    ----------
+    records : sequence of CaseRecord
+    claimed, true : callable
+        Map a record to a value or None.
+    """
     pairs = [(claimed(r), true(r)) for r in records]
     return [(c, t) for c, t in pairs if c is not None and t is not None]
 

@@ -1,15 +1,15 @@
 """A scored set as text: one self-contained page, and a Markdown table inserted into a document."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from palpate.service.blind import blind_charts
-from palpate.service.blind.answer_statistics import Estimate, calibration_curve, confusion
-from palpate.service.blind.blind_metrics import Metric, Unit
+from palpate.service.blind.answer_statistics import NOTHING, Band, Estimate, confusion, reliability
+from palpate.service.blind.blind_metrics import Metric, Unit, both_known
 from palpate.service.blind.case_truth import GROUPS, CaseRecord
 from palpate.service.blind.set_scoring import ScoredSet, Seals
-from palpate.service.diagnosis.diagnosis_words import NOT_EFFECTS, likely, signed, spoken, together
+from palpate.service.diagnosis.diagnosis_words import signed, spoken, together
 from palpate.service.installed_packages import palpate_version
 from palpate.service.number_formatting import NONE
 from palpate.service.report.page.page_elements import Picture, filled, picture
@@ -26,9 +26,58 @@ def shown(value: float | None, unit: Unit) -> str:
     """
     if value is None:
         return NONE
-    if unit == "share":
+    if unit in ("share", "part"):
         return f"{100 * value:.0f} %"
     return f"{value:.3f} mm" if unit == "mm" else signed(value, 2)
+
+
+def counted(estimate: Estimate) -> str:
+    """Return a share of cases as their number.
+
+    Examples
+    --------
+    >>> counted(Estimate(0.95, 0.76, 0.99, 20)), counted(Estimate(None, None, None, 0))
+    ('19 of 20', 'no case')
+    """
+    if estimate.value is None:
+        return "no case"
+    return f"{round(estimate.value * estimate.count)} of {estimate.count}"
+
+
+def cases(metric: Metric) -> str:
+    """Return the number of cases behind a metric; of a share, also those that count."""
+    if metric.unit == "share" and metric.estimate.count:
+        return counted(metric.estimate)
+    return str(metric.estimate.count)
+
+
+RELIABILITY = ("gain of the first cause, nats", "right", "95 %", "cannot be told apart")
+
+
+def reliability_cells(band: Band) -> tuple[str, ...]:
+    """Return a row of the table of reliability.
+
+    The last cell counts answers that cannot be told apart, with the right one among them.
+    """
+    gain = f"above {band.above:g}" if band.up_to is None else f"{band.above:g} to {band.up_to:g}"
+    right = counted(band.named), interval(band.named, "share")
+    return gain, *right, counted(band.unsure)
+
+
+def comparison(metrics: Sequence[Metric]) -> str:
+    """Return how often the diagnosis and the rule of the smallest residual are right, in words.
+
+    Empty without a case to compare.
+    """
+    by_key = {metric.key: metric.estimate for metric in metrics}
+    rule = by_key.get("baseline_refit_silent", NOTHING)
+    if not rule.count:
+        return ""
+    return (
+        f"One visible effect is named first by the diagnosis in {counted(by_key['first_visible'])} "
+        f"cases, and by the smallest residual of one refit at a time, with as many false alarms, "
+        f"in {counted(rule)}."
+    )
 
 
 def limit(metric: Metric) -> str:
@@ -37,7 +86,6 @@ def limit(metric: Metric) -> str:
     Examples
     --------
     >>> from palpate.service.blind.blind_metrics import Target
-    >>> from palpate.service.blind.answer_statistics import NOTHING
     >>> limit(Metric("k", "t", NOTHING, "share", Target(0.9, True), None))
     'at least 90 %'
     """
@@ -47,12 +95,11 @@ def limit(metric: Metric) -> str:
     return f"{word} {shown(metric.target.value, metric.unit)}"
 
 
-def interval(metric: Metric) -> str:
-    """Return the interval of a metric as text; empty if there is none."""
-    estimate = metric.estimate
+def interval(estimate: Estimate, unit: Unit) -> str:
+    """Return an interval as text; empty if there is none."""
     if estimate.low is None or estimate.high is None or estimate.low >= estimate.high:
         return ""
-    return f"{shown(estimate.low, metric.unit)} to {shown(estimate.high, metric.unit)}"
+    return f"{shown(estimate.low, unit)} to {shown(estimate.high, unit)}"
 
 
 def asked_for(record: CaseRecord) -> str:
@@ -62,15 +109,16 @@ def asked_for(record: CaseRecord) -> str:
 
 def answered(record: CaseRecord) -> str:
     """Return the answer to a case as text."""
-    if record.answer == "failed":
-        return "failed"
     if not record.primary:
         return spoken(record.answer)
-    first = f"{together(record.primary)} ({likely(record.probabilities[record.primary[0]])})"
-    if record.answer == "effect":
-        return first
-    others = [n for n in record.set90 if n not in record.primary and n not in NOT_EFFECTS]
-    return f"{first}, or {together(others)}" if others else f"{first}, uncertain"
+    others = [name for name in record.rivals if name not in record.primary]
+    words = together(record.primary) + (f", or {together(others)}" if others else "")
+    return f"{words} ({nats(record)} nats)" + (" and something else" * record.something_else)
+
+
+def nats(record: CaseRecord) -> str:
+    """Return the gain of the best single effect, without its unit."""
+    return NONE if record.gain is None else f"{record.gain:.0f}"
 
 
 def millimetres(value: float | None) -> str:
@@ -106,14 +154,15 @@ def metrics_table(scored: ScoredSet) -> str:
     for reason in scored.declared:
         lines += [f"The diagnosis differs from the sealed one: {reason}", ""]
     lines += ["| figure | value | 95 % interval | cases | target | |", "|---|---|---|---|---|---|"]
-    lines += [_markdown_row(f) for f in scored.targets_first]
+    lines += [_markdown_row(metric_cells(f)) for f in scored.targets_first]
     if scored.floor_mm is not None:
         lines += ["", f"Floor: {scored.floor_mm:.3f} mm of true gap in the median control."]
     lines += ["", "| truth | first answer, correct ones in bold |", "|---|---|"]
     lines += _confusion_lines(scored.records)
-    lines += ["", "| stated probability | statements | true |", "|---|---|---|"]
-    lines += _calibration_lines(scored.records)
-    lines += ["", "| wrong answer to | answer | true gap, mm | evidence of a gap |"]
+    lines += ["", _markdown_row(RELIABILITY), "|---|---|---|---|"]
+    lines += [_markdown_row(reliability_cells(band)) for band in reliability(scored.records)]
+    lines += ["", comparison(scored.metrics)]
+    lines += ["", "| wrong answer to | answer | true gap, mm | best gain, nats |"]
     lines += ["|---|---|---|---|"]
     return "\n".join([*lines, *_failure_lines(scored.records)])
 
@@ -135,31 +184,24 @@ def _confusion_lines(records: Sequence[CaseRecord]) -> Iterator[str]:
         yield f"| {' + '.join(map(spoken, name.split(' + ')))} | {', '.join(answers)} |"
 
 
-def _calibration_lines(records: Sequence[CaseRecord]) -> Iterator[str]:
-    for b in calibration_curve(records):
-        if b.came_true.count:
-            true = shown(b.came_true.value, "share")
-            yield f"| {b.low:.1f} to {b.high:.1f} | {b.came_true.count} | {true} |"
-
-
 def _failure_lines(records: Sequence[CaseRecord]) -> list[str]:
     return [
-        f"| {asked_for(r)} | {answered(r)} | {millimetres(r.true_before_mm)} "
-        f"| {NONE if r.alarm is None else f'{r.alarm:.1f}'} |"
+        _markdown_row((asked_for(r), answered(r), millimetres(r.true_before_mm), nats(r)))
         for r in sorted(records, key=asked_for)
         if not r.right
     ]
 
 
-def _markdown_row(metric: Metric) -> str:
-    estimate = metric.estimate
-    met = {None: "", True: "met", False: "not met"}[metric.met]
-    value = shown(estimate.value, metric.unit)
-    cells = [metric.title, value, interval(metric), str(estimate.count), limit(metric), met]
+def _markdown_row(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cells)} |"
 
 
-Pairs = list[tuple[float, float]]
+def metric_cells(metric: Metric) -> tuple[str, ...]:
+    """Return a row of the table of metrics: title, value, interval, cases, target, met."""
+    met = {None: "", True: "met", False: "not met"}[metric.met]
+    estimate = metric.estimate
+    value, reach = shown(estimate.value, metric.unit), interval(estimate, metric.unit)
+    return metric.title, value, reach, cases(metric), limit(metric), met
 
 
 def render(scored: ScoredSet) -> str:
@@ -178,10 +220,11 @@ def context(scored: ScoredSet) -> dict[str, Any]:
         "lead": _lead(scored),
         "tiles": _tiles(metrics),
         "declared": scored.declared,
-        "judged": [_row(f) for f in metrics if f.target is not None],
-        "others": [_row(f) for f in metrics if f.target is None],
+        "judged": [(*metric_cells(f)[:5], f.met) for f in metrics if f.target is not None],
+        "others": [metric_cells(f)[:4] for f in metrics if f.target is None],
         "confusion": _confusion_picture(records),
-        "calibration": _calibration_picture(records),
+        "reliability": [RELIABILITY, *map(reliability_cells, reliability(records))],
+        "comparison": comparison(metrics),
         "shrinkage": _shrinkage_picture(records),
         "gaps": _gap_picture(records, scored.floor_mm),
         "groups": [
@@ -215,29 +258,14 @@ def _tiles(metrics: Sequence[Metric]) -> list[tuple[str, str, str]]:
     titles = {
         "false_alarms": "False alarms",
         "named_right": "Named effects that act",
-        "first_visible": "Visible effects ranked first",
-        "covered": "In the 90 % set",
+        "first_visible": "Visible effects named first",
+        "among_visible": "Named, or a rival",
     }
-    by_key = {f.key: f for f in metrics}
+    by_key = {f.key: f.estimate for f in metrics}
     return [
-        (title, shown(by_key[key].estimate.value, by_key[key].unit), _of(by_key[key].estimate))
+        (title, shown(by_key[key].value, "share"), counted(by_key[key]))
         for key, title in titles.items()
     ]
-
-
-def _of(estimate: Estimate) -> str:
-    return f"of {estimate.count}" if estimate.count else "no case"
-
-
-def _row(metric: Metric) -> dict[str, Any]:
-    return {
-        "title": metric.title,
-        "value": shown(metric.estimate.value, metric.unit),
-        "interval": interval(metric),
-        "count": metric.estimate.count,
-        "target": limit(metric),
-        "met": metric.met,
-    }
 
 
 def _case(record: CaseRecord) -> dict[str, Any]:
@@ -263,23 +291,9 @@ def _confusion_picture(records: Sequence[CaseRecord]) -> Picture:
     )
 
 
-def _calibration_picture(records: Sequence[CaseRecord]) -> Picture:
-    bins = calibration_curve(records)
-    shares = "; ".join(
-        f"{b.low:.1f} to {b.high:.1f}: {shown(b.came_true.value, 'share')} of {b.came_true.count}"
-        for b in bins
-        if b.came_true.count
-    )
-    return picture(
-        blind_charts.curve(bins),
-        f"Share of true statements by probability. {shares}.",
-        "Each dot shows the statements in a tenth of the scale, with their number.",
-    )
-
-
 def _shrinkage_picture(records: Sequence[CaseRecord]) -> Picture:
-    held_out = _pairs(records, lambda r: r.held_out_share, lambda r: r.true_share)
-    inside = _pairs(records, lambda r: r.claimed_share, lambda r: r.true_share)
+    held_out = both_known(records, lambda r: r.held_out_share, lambda r: r.true_share)
+    inside = both_known(records, lambda r: r.claimed_share, lambda r: r.true_share)
     return picture(
         blind_charts.shrinkage(held_out, inside),
         f"Claimed against true shrinkage of {len(inside)} cases.",
@@ -288,19 +302,10 @@ def _shrinkage_picture(records: Sequence[CaseRecord]) -> Picture:
 
 
 def _gap_picture(records: Sequence[CaseRecord], floor: float | None) -> Picture:
-    before = _pairs(records, lambda r: r.claimed_before_mm, lambda r: r.true_before_mm)
-    after = _pairs(records, lambda r: r.claimed_after_mm, lambda r: r.true_after_mm)
+    before = both_known(records, lambda r: r.claimed_before_mm, lambda r: r.true_before_mm)
+    after = both_known(records, lambda r: r.claimed_after_mm, lambda r: r.true_after_mm)
     return picture(
         blind_charts.gaps(before, after, floor),
         f"Claimed against true gap of {len(before)} cases.",
         "Root mean square distance beyond noise: claimed against noise-free.",
     )
-
-
-def _pairs(
-    records: Sequence[CaseRecord],
-    claimed: Callable[[CaseRecord], float | None],
-    true: Callable[[CaseRecord], float | None],
-) -> Pairs:
-    both = [(claimed(r), true(r)) for r in records]
-    return [(c, t) for c, t in both if c is not None and t is not None]

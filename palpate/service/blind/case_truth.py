@@ -4,7 +4,7 @@ The truth is the cause with which the case was made, and the displacements of it
 record holds what a score needs of both.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -16,7 +16,7 @@ from palpate.service.blind.sealed_set import read_json
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.common_keys import validated
-from palpate.workers.diagnosis.verdict.verdict import NO_GAP, NONE_OF_THESE
+from palpate.workers.diagnosis.verdict.cause_selection import NO_GAP, NONE_OF_THESE
 from palpate.workers.organs.organ_plugins import catalogue_of
 
 # A blind case is a breast.
@@ -180,17 +180,15 @@ class CaseRecord:
     answer : str
         The verdict, or "failed" if the diagnosis did not finish.
     primary : tuple of str
-        Named effects, the most probable one first.
-    primary_families : tuple of str
-        Families of these effects.
-    set90 : tuple of str
-    probabilities : mapping of str to float
-        Probability that each effect acts, as far as the data can tell; with "no-gap" and
-        "none-of-these".
-    family_probabilities : mapping of str to float
-        Probability that an effect of the family acts.
-    alarm : float or None
-        Log evidence against no gap.
+        Named effects in the order of their selection.
+    rivals : tuple of str
+        Effects that cannot be told apart from the first.
+    family_of : mapping of str to str
+        Families of the named effects and their rivals.
+    gain : float or None
+        Gain of the best single effect in log evidence, in nats: of the first named effect, if any.
+    something_else : bool
+        Whether the diagnosis says that something else acts.
     claimed_before_mm, claimed_after_mm : float or None
         Gap beyond noise with the nominal model, and with the named effects.
     true_before_mm, true_after_mm : float or None
@@ -200,13 +198,10 @@ class CaseRecord:
     gap_interval_mm, share_interval : tuple of float or None
         Stated 90 % intervals of the gap before and of the shrinkage.
     claimed_share, held_out_share : float or None
-        Stated reduction of the squared gap by the effects: averaged over the causes, and with
-        each scan predicted by a fit to the others.
+        Stated reduction of the squared gap by the effects: on the same scans, and with each scan
+        predicted by a fit to the others.
     magnitudes : tuple of Magnitude
         Of the true effect, if it was refitted and the truth has the same parameters.
-    strength : float or None
-        True size of a single effect in standard deviations of its estimate; see
-        `service.blind.set_scoring.strength`.
     lump_apart_mm : float or None
         Distance from the estimated centre of a lump to the true one.
     named_by : mapping of str to (str or None)
@@ -226,11 +221,10 @@ class CaseRecord:
     families: tuple[str, ...]
     answer: Answer
     primary: tuple[str, ...] = ()
-    primary_families: tuple[str, ...] = ()
-    set90: tuple[str, ...] = ()
-    probabilities: Mapping[str, float] = field(default_factory=dict)
-    family_probabilities: Mapping[str, float] = field(default_factory=dict)
-    alarm: float | None = None
+    rivals: tuple[str, ...] = ()
+    family_of: Mapping[str, str] = field(default_factory=dict)
+    gain: float | None = None
+    something_else: bool = False
     claimed_before_mm: float | None = None
     claimed_after_mm: float | None = None
     true_before_mm: float | None = None
@@ -241,7 +235,6 @@ class CaseRecord:
     claimed_share: float | None = None
     held_out_share: float | None = None
     magnitudes: tuple[Magnitude, ...] = ()
-    strength: float | None = None
     lump_apart_mm: float | None = None
     named_by: Mapping[str, str | None] = field(default_factory=dict)
     loudness: Mapping[str, float] = field(default_factory=dict)
@@ -255,7 +248,7 @@ class CaseRecord:
 
     @property
     def named(self) -> bool:
-        """Return True if the answer is certain: an effect, or two that act together."""
+        """Return True if the answer is certain: one effect, or several that act together."""
         return self.answer == "effect"
 
     @property
@@ -264,45 +257,32 @@ class CaseRecord:
         return self.primary[0] if self.primary else None
 
     @property
-    def right_family(self) -> bool:
-        """Return True if the first named effect is in a true family."""
-        return bool(self.primary_families) and self.primary_families[0] in self.families
-
-    @property
     def right_first(self) -> bool:
         """Return True if the first named effect acts, or is a relative of one that does."""
-        return self.right_family if self.group == "relative" else self.first in self.effects
+        return self.right_among(self.primary[:1])
+
+    def right_among(self, names: Sequence[str]) -> bool:
+        """Return True if one of these effects acts, or is a relative of one that does."""
+        if self.group == "relative":
+            return any(self.family_of[name] in self.families for name in names)
+        return any(name in self.effects for name in names)
 
     @property
-    def strictly_right(self) -> bool:
-        """Return True if at least one effect is named, and every named effect acts."""
-        return bool(self.primary) and set(self.primary) <= set(self.effects)
+    def complete(self) -> bool:
+        """Return True if exactly the acting effects are named."""
+        return self.named and set(self.primary) == set(self.effects)
 
     @property
-    def covered(self) -> bool:
-        """Return True if the 90 % set includes a true cause: no gap, an acting effect, or none."""
-        return bool(set(self.set90) & set(self.true_causes))
-
-    @property
-    def true_causes(self) -> tuple[str, ...]:
-        """Return the causes to which a perfect diagnosis would give probability one."""
-        if self.silent:
-            return (NO_GAP,)
-        return self.effects or ((NONE_OF_THESE,) if self.group == "unlike" else ())
+    def outside(self) -> bool:
+        """Return True if the answer is that an effect outside the catalogue acts."""
+        return self.answer == NONE_OF_THESE or self.something_else
 
     @property
     def right(self) -> bool:
         """Return True if the answer is correct for this group of cases."""
         if self.silent:
             return self.answer == NO_GAP
-        if self.group == "unlike":
-            return self.answer == NONE_OF_THESE
-        return self.right_first
-
-    @property
-    def is_careful(self) -> bool:
-        """Return True if the answer reports a gap but is not sure of any effect."""
-        return self.answer in (NONE_OF_THESE, "cannot-be-told-apart")
+        return self.outside if self.group == "unlike" else self.right_first
 
     @property
     def true_share(self) -> float | None:

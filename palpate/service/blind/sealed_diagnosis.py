@@ -81,9 +81,7 @@ def _effect(effect: Effect) -> dict[str, object]:
     return {
         "name": effect.name,
         "family": effect.family,
-        "odds": effect.odds,
         "prior_sd": dict(zip(effect.names, effect.prior_sd, strict=True)),
-        "held_sd": list(effect.held_sd),
     }
 
 

@@ -177,9 +177,8 @@ class Answer:
         Names of the loaded scans.
     summary : Summary
     baselines : Baselines
-    centre_mm : tuple of float or None
-        Middle of the body, the origin of fitted positions; None in answers of earlier
-        versions that fitted no lump.
+    centre_mm : tuple of float
+        Middle of the body, about which scans are scaled, sheared or turned.
     """
 
     id: str
@@ -187,7 +186,7 @@ class Answer:
     scans: tuple[str, ...]
     summary: Summary
     baselines: Baselines
-    centre_mm: Triple | None
+    centre_mm: Triple
 
 
 def write_answer(

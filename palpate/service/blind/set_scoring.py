@@ -8,7 +8,6 @@ maker of a case parametrises each cause in its own way; `Effect.truth` returns t
 parameters with the same meaning, which a diagnosis should find.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from palpate.service.blind.answer_statistics import calibration_curve, confusion
+from palpate.service.blind.answer_statistics import confusion, reliability
 from palpate.service.blind.blind_metrics import Metric, floor_mm, metrics, regrouped
 from palpate.service.blind.case_truth import (
     CATALOGUE,
@@ -56,7 +55,6 @@ from palpate.workers.diagnosis.outcome.diagnosis_summary import (
     ShareEstimate,
     Summary,
 )
-from palpate.workers.diagnosis.verdict.verdict import NO_GAP, NONE_OF_THESE
 
 
 def true_values(truth: Truth) -> dict[str, float]:
@@ -94,48 +92,15 @@ def magnitudes(truth: Truth, by_name: Mapping[str, EffectSummary]) -> list[Magni
     ]
 
 
-def strength(truth: Truth, by_name: Mapping[str, EffectSummary]) -> float | None:
-    """Return the true size of a single effect in standard deviations of its estimate.
-
-    It bounds the evidence in the scans, given the form of the effect: s^2 / 2 nats against no
-    gap. None if the catalogue has no parameter with the same meaning, or if the response is not
-    proportional to the size: friction, springs and lumps saturate, so their presence is better
-    known than their size; the effect of a plate edge grows faster than its size.
-
-    Parameters
-    ----------
-    by_name : mapping of str to EffectSummary
-    """
-    found = by_name.get(truth.effects[0]) if len(truth.causes) == len(truth.effects) == 1 else None
-    if found is None or not CATALOGUE.named(found.name).is_proportional:
-        return None
-    true = true_values(truth)
-    sizes = [true[p.parameter] / p.sd for p in found.parameters if p.parameter in true and p.sd > 0]
-    return math.hypot(*sizes) if sizes else None
-
-
-def lump_apart_mm(
-    truth: Truth, by_name: Mapping[str, EffectSummary], centre_mm: Triple | None
-) -> float | None:
-    """Return the distance between the true and the estimated centre of a lump, or None.
-
-    Parameters
-    ----------
-    centre_mm : tuple of float or None
-        Middle of the body, from which answers of earlier versions measure offsets.
-    """
+def lump_apart_mm(truth: Truth, by_name: Mapping[str, EffectSummary]) -> float | None:
+    """Return the distance between the true and the estimated centre of a lump, or None."""
     given = next((c.parameters for c in truth.causes if c.effect == MAPPED.name), None)
     effect = by_name.get(MAPPED.name)
     if given is None or effect is None or not effect.refitted or MAPPED.place is None:
         return None
     sizes = {p.parameter: p.magnitude for p in effect.parameters}
     positions = [name for name, _ in MAPPED.place.positions_mm((0.0, 0.0, 0.0)).values()]
-    if positions[0] in sizes:
-        centre = np.array([sizes[name] for name in positions])
-    elif centre_mm is None:
-        return None
-    else:
-        centre = np.add(centre_mm, [sizes[f"{name}_mm"] for name in MAPPED.place.offsets])
+    centre = np.array([sizes[name] for name in positions])
     return float(np.linalg.norm(centre - np.asarray(given["centre_mm"])))
 
 
@@ -171,21 +136,16 @@ def _read(blind: BlindSet, truths: Truths, name: str, directions: Directions) ->
     moved = _diagnosed(read_moved(truths.of(name)), blind.case(name), directions)
     with np.load(blind.points(name, directions)) as file:
         maps = {key: file[key] for key in file.files}
-    return record_of(name, truth, moved, answer_of(read, name), maps)
-
-
-def answer_of(read: Mapping[str, object], name: str) -> Answer:
-    """Parse the content of an answer file.
-
-    Raises
-    ------
-    InputError
-        If the answer is incomplete.
-    """
     try:
-        return from_json(Answer, read)
+        answer = from_json(Answer, read)
     except ValueError as error:
-        raise InputError(f"The answer to {name} is from another version: {error}.") from error
+        raise InputError(
+            f"{blind.answer(name, directions)} is from a version whose answers cannot be scored "
+            f"any more, such as one that states probabilities ({error}). Move "
+            f"{blind.answers(directions)} and {blind.sealed_answers(directions)} away and run "
+            f"`palpate blind run {blind.root} --directions {directions}` again."
+        ) from error
+    return record_of(name, truth, moved, answer, maps)
 
 
 def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Arrays) -> CaseRecord:
@@ -204,8 +164,6 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
     effects = {e.name: e for e in summary.effects}
     before = _true_gap("before", truth, moved, maps, answer.centre_mm, {})
     after = _true_gap("after", truth, moved, maps, answer.centre_mm, _said_of_images(summary))
-    visible = {n: e.probability for n, e in effects.items() if n not in summary.absorbed}
-    ends = {NO_GAP: summary.no_gap_probability, NONE_OF_THESE: summary.none_of_these_probability}
     return CaseRecord(
         name=name,
         kind=truth.kind,
@@ -214,11 +172,10 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
         families=truth.families,
         answer=summary.verdict,
         primary=summary.primary,
-        primary_families=tuple(effects[n].family for n in summary.primary),
-        set90=summary.set90,
-        probabilities=ends | visible,
-        family_probabilities=summary.families,
-        alarm=summary.alarm,
+        rivals=summary.rivals,
+        family_of={n: effects[n].family for n in (*summary.primary, *summary.rivals)},
+        gain=summary.gain,
+        something_else=summary.something_else,
         claimed_before_mm=gap.before.gap_mm,
         claimed_after_mm=gap.after.gap_mm if gap.after else None,
         true_before_mm=before.gap_mm if before else None,
@@ -229,8 +186,7 @@ def record_of(name: str, truth: Truth, moved: Moved, answer: Answer, maps: Array
         claimed_share=_known(gap.share),
         held_out_share=_known(gap.held_out_share),
         magnitudes=tuple(magnitudes(truth, effects)),
-        strength=strength(truth, effects),
-        lump_apart_mm=lump_apart_mm(truth, effects, answer.centre_mm),
+        lump_apart_mm=lump_apart_mm(truth, effects),
         named_by={
             "raw_correlation": largest_correlation(answer.baselines.raw_correlation),
             "refit": closest_refit(answer.baselines.refit_left_mm),
@@ -257,7 +213,7 @@ def _true_gap(
     truth: Truth,
     moved: Moved,
     maps: Arrays,
-    centre_mm: Triple | None,
+    centre_mm: Triple,
     found: Mapping[str, float],
 ) -> TrueGap | None:
     """Return the true gap to the interfaces as drawn; None if no effect is named.
@@ -397,10 +353,9 @@ def score_record(scored: ScoredSet) -> dict[str, Any]:
         "seals": scored.seals,
         "floor_mm": scored.floor_mm,
         "figures": [asdict(f) for f in scored.metrics],
-        "calibration": [asdict(b) for b in calibration_curve(scored.records)],
+        "reliability": [asdict(b) for b in reliability(scored.records)],
         "confusion": {"rows": table.rows, "columns": table.columns, "counts": table.counts},
         "cases": [
-            asdict(r) | {"right": r.right, "covered": r.covered, "true_share": r.true_share}
-            for r in scored.records
+            asdict(r) | {"right": r.right, "true_share": r.true_share} for r in scored.records
         ],
     }

@@ -199,7 +199,7 @@ def drawn_mm(
     points: FloatArray,
     normals: FloatArray,
     interface: IntArray,
-    centre_mm: Triple | None,
+    centre_mm: Triple,
     sizes: Mapping[str, float],
 ) -> FloatArray:
     """Return the distance along the normals, shape (scans, k).
@@ -210,17 +210,15 @@ def drawn_mm(
         Points in the loaded scans, in mm, and unit normals of the interfaces there.
     interface : ndarray of int, shape (k,)
         0 for the outline, 1 for the boundary of the glandular tissue.
-    centre_mm : tuple of float or None
-        Centre about which scans are scaled, sheared or turned; without it these are ignored.
+    centre_mm : tuple of float
+        Centre about which scans are scaled, sheared or turned.
     sizes : mapping of str to float
         Parameters of the catalogue under their external names; missing ones are 0.
     """
     tissues = np.where(interface == 0, Tissue.FAT, Tissue.GLANDULAR)
-    frame = Frame() if centre_mm is None else Frame(centre_mm)
+    frame = Frame(centre_mm)
     out = np.zeros(points.shape[:2])
     for effect in CATALOGUE.on_observation:
-        if centre_mm is None and effect.about_centre:
-            continue
         values = {
             p.name: p.unit.to_inside(sizes[p.door_name])
             for p in effect.parameters

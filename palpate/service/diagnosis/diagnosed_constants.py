@@ -15,7 +15,6 @@ from palpate.service.results.quotability_rule import (
 )
 from palpate.storage.json_digests import to_json
 from palpate.workers.diagnosis.outcome.diagnosis_summary import ConstantEstimate, Summary
-from palpate.workers.diagnosis.verdict.verdict import NO_GAP
 
 # Smaller changes in a constant due to an effect are ignored.
 SAME = 0.05
@@ -78,13 +77,12 @@ def change(constant: ConstantEstimate) -> float:
 
 
 def is_lead(summary: Summary) -> bool:
-    """Check whether there may be no gap, or the effect may not reduce it on held-out scans.
+    """Check whether the effect may not reduce the gap on held-out scans.
 
     An effect that was only checked on the scan that it was fitted to is a lead as well.
     """
     share = summary.gap_mm.held_out_share
-    unseen = summary.gap_mm.checked_on == "same scan" or (share is not None and share.low < 0)
-    return NO_GAP in summary.set90 or unseen
+    return summary.gap_mm.checked_on == "same scan" or (share is not None and share.low < 0)
 
 
 def _judged(summary: Summary, name: str, constant: ConstantEstimate) -> JudgedConstant:
@@ -116,7 +114,7 @@ def _contradictions(summary: Summary, constant: ConstantEstimate) -> tuple[str, 
     """Return the verdict's reasons against quoting a constant."""
     if summary.verdict == "no-gap":
         return ()
-    if summary.verdict == "none-of-these":
+    if summary.verdict == "none-of-these" or summary.something_else:
         return ("the model lacks something that is not in the catalogue",)
     if constant.after is None:
         return ("the cause of the gap is undecided",)

@@ -37,7 +37,6 @@ _PHASE_WORDS = {
     "calibration": "fitting the nominal constants",
     "effects": "simulating every effect",
     "weighing": "weighing",
-    "reading": "re-estimating the noise",
     "refits": "refitting the suspects",
     "loads": "simulating loads and the influence of every effect on them",
 }

@@ -41,7 +41,6 @@ from palpate.workers.tasks.diagnosis_tasks import (
     calibrate_nominal,
     fit_effects,
     prepare_scan,
-    read_noise_again,
     weigh_hypotheses,
 )
 from palpate.workers.tasks.plan_tasks import (
@@ -60,7 +59,7 @@ class Step:
 
     Parameters
     ----------
-    phase : {"preparation", "calibration", "effects", "weighing", "reading", "refits", "loads"}
+    phase : {"preparation", "calibration", "effects", "weighing", "refits", "loads"}
         A plan has only "loads".
     done, of : int
         Completed tasks of the phase, and all of them; 0 when it begins.
@@ -214,12 +213,8 @@ def run_diagnosis(
     numbers = range(calibration.scans)
     phases.run("effects", analyse_effect, [(e, number) for e in effects for number in numbers])
     while (left := phases.run("weighing", weigh_hypotheses, [()], by_scans=True)[0]).is_open:
-        if left.unread:
-            phases.run("reading", read_noise_again, [(left.read_at,)], by_scans=True)
-            continue
         longest_first = sorted(left.wanted, key=slow.isdisjoint)
-        fits = [(names, left.read_at) for names in longest_first]
-        phases.run("refits", fit_effects, fits, by_scans=True)
+        phases.run("refits", fit_effects, [(names,) for names in longest_first], by_scans=True)
     diagnosis = finished(request)
     if diagnosis is None:
         raise TaskError(

@@ -15,6 +15,7 @@ from palpate.workers.diagnosis.outcome.diagnosis_summary import (
     EffectSummary,
     GapEstimate,
     GapSummary,
+    MarkerState,
     NextAcquisition,
     ParameterEstimate,
     PredictedState,
@@ -30,18 +31,20 @@ from palpate.workers.mechanics.model_parameters import ShownMagnitude
 from palpate.workers.organs.organ_plugins import DEFAULT, catalogue_of
 
 MOST_DIGITS = 4
-# Bayes factors beyond this are shown as a bound.
-MOST_FACTOR = 1000
 # A gap below this length and this fraction of the noise counts as none.
 NOTHING_MM, NOTHING_OF_NOISE = 0.005, 0.1
 # The smallest printed upper limit of a gap; the noise level if that is smaller.
 LEAST_MM = 0.01
-ADD_UP = (
-    "Causes can act together, and each probability counts every combination that includes the "
-    "cause, so they may add up to more than 100 %."
-)
+# Name of the region that contains all points of an interface.
+WHOLE = "all"
+# Largest change in per cent that is given as visible.
+MOST_CHANGE = 100.0
+# A region is inside or outside the scan if its mean distance is more than this part of its gap.
+ONE_SIDED = 0.5
+# Words for gains in log evidence up to so many nats; the reliability of a cause is counted in the
+# same bands.
+STRENGTHS = (("weak", 20.0), ("clear", 50.0))
 NOT_EFFECTS = {"no-gap": "no gap", "none-of-these": "none of these"}
-DOUBTS = {"no-gap": "noise alone", "none-of-these": "an unlisted cause"}
 
 
 def spoken(name: str) -> str:
@@ -55,18 +58,56 @@ def spoken(name: str) -> str:
     return NOT_EFFECTS.get(name, name.replace("_", " "))
 
 
-def bayes_factor(log: float) -> str:
-    """Return the Bayes factor of an effect against no effect, as text.
+def seen_from(effect: EffectSummary) -> str:
+    """Return the size from which the data would have shown an effect; a dash if at none.
 
-    Examples
-    --------
-    >>> bayes_factor(2.0), bayes_factor(-0.7), bayes_factor(12.34), bayes_factor(-50.0)
-    ('7.4', '0.50', '> 1000', '< 0.001')
+    Sizes are extrapolated linearly, so changes of a ratio beyond `MOST_CHANGE` mean nothing.
     """
-    if abs(log) > math.log(MOST_FACTOR):
-        return f"> {MOST_FACTOR}" if log > 0 else f"< {1 / MOST_FACTOR:g}"
-    factor = math.exp(log)
-    return f"{factor:.0f}" if factor >= 10 else f"{factor:#.2g}"
+    size = effect.seen_from
+    if size is None or not math.isfinite(size):
+        return NONE
+    if effect.seen_unit == "%" and size > MOST_CHANGE:
+        return NONE
+    return f"{number(size, 2)} {effect.seen_unit}".rstrip()
+
+
+def power(summary: Summary) -> str:
+    """Return the size from which each effect would have been named; empty if none would be."""
+    seen = [
+        f"{spoken(e.name)} {seen_from(e)}"
+        for e in summary.effects
+        if e.name not in summary.absorbed and seen_from(e) != NONE
+    ]
+    if not seen:
+        return ""
+    return f"These {_loaded(summary)}s would have shown, from this size on: {listed(seen)}."
+
+
+def cause_gain(summary: Summary, name: str) -> float | None:
+    """Return the gain of an effect in nats; None if it was not fitted.
+
+    A further named effect has the gain that it adds to those named before it.
+    """
+    place = summary.primary.index(name) if name in summary.primary else 0
+    if place == 0:
+        return summary.effect(name).gain
+    totals = {frozenset(fit.effects): fit.log_evidence_gain for fit in summary.refits}
+    before = totals.get(frozenset(summary.primary[:place]))
+    total = totals.get(frozenset(summary.primary[: place + 1]))
+    return None if before is None or total is None else total - before
+
+
+def fitted_causes(summary: Summary) -> list[tuple[EffectSummary, float]]:
+    """Return the effects that were fitted with their gains: the named ones, then the best first."""
+    gains = [(effect, cause_gain(summary, effect.name)) for effect in summary.effects]
+    fitted = [(effect, gain) for effect, gain in gains if gain is not None]
+
+    def order(cause: tuple[EffectSummary, float]) -> tuple[int, float]:
+        effect, gain = cause
+        named = summary.primary
+        return named.index(effect.name) if effect.name in named else len(named), -gain
+
+    return sorted(fitted, key=order)
 
 
 def together(names: Sequence[str]) -> str:
@@ -80,17 +121,19 @@ def together(names: Sequence[str]) -> str:
     return listed([spoken(name) for name in names])
 
 
-def likely(probability: float) -> str:
-    """Return a probability as text, never rounded to 0 or 100 %.
+def strength(gain: float | None) -> str:
+    """Return the evidence of a cause in a word, from its gain in nats; None if it was not fitted.
 
     Examples
     --------
-    >>> likely(0.9999), likely(0.123), likely(0.0001)
-    ('> 99 %', '12 %', '< 1 %')
+    >>> strength(3.0), strength(12.0), strength(30.0), strength(200.0), strength(None)
+    ('none', 'weak', 'clear', 'strong', '–')
     """
-    if probability > 0.99:
-        return "> 99 %"
-    return "< 1 %" if probability < 0.01 else f"{100 * probability:.0f} %"
+    if gain is None:
+        return NONE
+    if gain <= SETTINGS.selection.first:
+        return "none"
+    return next((word for word, most in STRENGTHS if gain <= most), "strong")
 
 
 def measured(value: float | None, sd: float | None, unit: str) -> str:
@@ -226,28 +269,12 @@ def sentence(summary: Summary) -> str:
 
 
 def headline(summary: Summary) -> str:
-    """Return the verdict in one or two sentences, with a note on absorbed effects."""
-    return " ".join(filter(None, (*summary.doubts, _verdict(summary), hidden(summary))))
-
-
-def hidden(summary: Summary) -> str:
-    """Return a note on effects that scans support although constants almost mimic them."""
-    sure = [n for n in summary.absorbed if _is_sure(summary, n)]
-    if not sure:
-        return ""
-    each = listed([_magnitude(summary, name) for name in sure])
-    return (
-        f"The scans support {each}, but the fitted constants can almost mimic it; confirm it with "
-        "an independent measurement."
-    )
-
-
-def _is_sure(summary: Summary, name: str) -> bool:
-    return summary.effect(name).probability >= SETTINGS.verdict.credible
+    """Return the verdict: where model and data differ, which cause, how far it reduces the gap."""
+    return " ".join(filter(None, (*summary.doubts, _verdict(summary))))
 
 
 def noise(summary: Summary) -> str:
-    """Return a note on noise that is set too small or too large, or is uneven; else empty."""
+    """Return a note on noise that is set too small or too large; else empty."""
     said = []
     for level in summary.noise or ():
         ratio = level.learnt_mm / level.stated_mm if level.stated_mm > 0 else 1.0
@@ -257,78 +284,98 @@ def noise(summary: Summary) -> str:
                 f"The noise of the {level.interface} interface is set too {wrong}: "
                 f"{level.stated_mm:.2f} mm, but its residuals show {level.learnt_mm:.2f} mm."
             )
-        least, most = level.least_mm or level.learnt_mm, level.most_mm or level.learnt_mm
-        if most > SETTINGS.noise.uneven_ratio * least:
-            said.append(
-                f"The {level.interface} interface is segmented less accurately in one part of the "
-                f"body than in another: its noise is {least:.2f} to {most:.2f} mm."
-            )
     return " ".join(said)
 
 
 def _verdict(summary: Summary) -> str:
     gap = summary.gap_mm
-    names = summary.primary
     if summary.verdict == "no-gap":
-        most = gap.before.high_mm
-        agree = "Model and data agree: the residual is no larger than the noise."
-        if summary.doubts:
-            agree = "The residual is no larger than the noise, which does not make the fit right."
-        return f"{agree} A gap larger than {length(max(most, least_length(gap)))} mm is unlikely."
-    differ = f"Model and data differ by {millimetres(gap.before)} beyond the noise"
-    if _is_nothing(gap.before, gap):
-        differ = "The residual is below the noise level but systematic"
+        return _no_cause(summary)
+    differ = _difference(summary)
     if summary.verdict == "none-of-these":
-        unlisted = likely(summary.none_of_these_probability)
-        return (
-            f"{differ}, and no effect in the catalogue explains it: another cause is most probable "
-            f"({unlisted})."
-        )
+        return f"{differ} No effect in the catalogue explains it."
     if summary.verdict == "cannot-be-told-apart":
-        choice = [name for name in summary.set90 if name not in NOT_EFFECTS]
-        if len(choice) == 1:
-            others = [DOUBTS[name] for name in summary.set90 if name in DOUBTS]
-            return (
-                f"{differ}. The cause may be {_cause(summary)}, but {' or '.join(others)} is not "
-                f"ruled out. {_left(summary)}"
-            ).rstrip()
-        return (
-            f"{differ}. These scans cannot decide which of {together(choice)} is the cause; "
-            f"{together(names)} is most probable. {_left(summary)}"
-        ).rstrip()
-    if gap.checked_on == "same scan":
-        return f"{differ}. A lead, not a finding: {_cause(summary)}. {_left(summary)}"
-    return f"{differ}. The cause is {_cause(summary)}. {_left(summary)}".rstrip()
-
-
-def _cause(summary: Summary) -> str:
-    """Return the named effects; if something is left, only the first is certain."""
-    first, *others = [_magnitude(summary, name) for name in summary.primary]
-    if others and summary.gap_mm.is_something_left:
-        return f"{first}, perhaps with {listed(others)}"
-    return listed([first, *others])
-
-
-def _magnitude(summary: Summary, name: str) -> str:
-    effect = summary.effect(name)
-    if effect.shown is None:
-        how_much = measured(effect.magnitude, effect.sd, effect.unit)
+        which = (
+            f"These {_loaded(summary)}s cannot decide: {together(summary.rivals)} explain it "
+            f"almost equally well; the best is {_cause(summary, summary.primary[0])}."
+        )
     else:
-        how_much = ", ".join(_shown(effect.shown))
-    return f"{spoken(name)} ({how_much}, probability {likely(effect.probability)})"
+        causes = listed([_cause(summary, name) for name in summary.primary])
+        names = "The cause is" if len(summary.primary) == 1 else "The causes are"
+        which = f"{'A lead, not a finding:' if gap.checked_on == 'same scan' else names} {causes}."
+    return " ".join(filter(None, (differ, which, _left(summary))))
+
+
+def _no_cause(summary: Summary) -> str:
+    gap = summary.gap_mm
+    if gap.before.low_mm > gap.calibration_floor:
+        return f"{_difference(summary)} It is too small or too irregular to name a cause."
+    agree = "Model and data agree: the residual is no larger than the noise."
+    if summary.doubts:
+        agree = "The residual is no larger than the noise, which does not make the fit right."
+    most = length(max(gap.before.high_mm, least_length(gap)))
+    return f"{agree} A gap larger than {most} mm is unlikely."
+
+
+def _difference(summary: Summary) -> str:
+    """Return how large the gap is and where it is largest."""
+    gap = summary.gap_mm
+    if _is_nothing(gap.before, gap):
+        return "The residual is below the noise level but systematic."
+    worst = _worst_place(summary)
+    return f"Model and data differ by {millimetres(gap.before)} beyond the noise{worst}."
+
+
+def _worst_place(summary: Summary) -> str:
+    """Return where the gap is largest, as the end of a sentence; empty if no place stands out."""
+    states = summary.markers or ()
+    if len(states) > 1:
+        return f", most in the state {max(states, key=_misfit_mm).state}"
+    significant = [part for part in summary.where if part.significant]
+    parts = [part for part in significant if part.region != WHOLE] or significant
+    if not parts:
+        return ""
+    most = max(parts, key=lambda part: part.gap_mm)
+    region = "" if most.region == WHOLE else f"{most.region} of the "
+    side = "outside" if most.signed_mean_mm > 0 else "inside"
+    is_one_sided = abs(most.signed_mean_mm) > ONE_SIDED * most.gap_mm
+    return (
+        f", most in the {region}{most.interface} interface in the scan at {most.scan} "
+        f"({length(most.gap_mm)} mm{f', the model {side}' if is_one_sided else ''})"
+    )
+
+
+def _misfit_mm(state: MarkerState) -> float:
+    """Return the root mean square residual of the nominal model in a state."""
+    values = [mm for point in state.points for mm in point.before_mm if math.isfinite(mm)]
+    return math.sqrt(sum(mm**2 for mm in values) / max(len(values), 1))
+
+
+def _loaded(summary: Summary) -> str:
+    return "scan" if summary.markers is None else "state"
+
+
+def _cause(summary: Summary, name: str) -> str:
+    """Return an effect with its magnitude and, if it was fitted, its evidence."""
+    effect, gain = summary.effect(name), cause_gain(summary, name)
+    said = [measured(effect.magnitude, effect.sd, effect.unit)]
+    if effect.shown is not None:
+        said = _shown(effect.shown)
+    if gain is not None:
+        said.append(f"{strength(gain)} evidence")
+    return f"{spoken(name)} ({', '.join(said)})"
 
 
 def _left(summary: Summary) -> str:
     """Return the gap left by the effect, on held-out scans if there are any, and a warning."""
-    gap, left = summary.gap_mm, _left_mm(summary)
-    if not gap.is_something_left:
+    left = _left_mm(summary)
+    if not summary.something_else:
         return left
-    most = length(gap.most_of_complete_model_mm)
-    return f"{left} A complete model would leave at most {most} mm: another cause acts as well."
+    return f"{left} A systematic rest remains: something else acts as well."
 
 
 def _left_mm(summary: Summary) -> str:
-    gap, scan = summary.gap_mm, "scan" if summary.markers is None else "state"
+    gap, scan = summary.gap_mm, _loaded(summary)
     if gap.held_out_after is not None and gap.held_out_before is not None:
         before = gap.held_out_before
         of = "" if _is_nothing(before, gap) else f" of {length(before.gap_mm)} mm"
@@ -497,7 +544,7 @@ def is_undecided(summary: Summary) -> bool:
 def next_acquisitions(summary: Summary, plan: PlanSummary) -> tuple[NextAcquisition, ...]:
     """Rank the measurements evaluated in a plan, the most decisive first.
 
-    The criteria are the number of pairs in the 90 % set that are distinguished, then the number
+    The criteria are the number of pairs of rivals that are distinguished, then the number
     of absorbed effects that are revealed, then the order of the plan.
 
     Parameters
@@ -538,4 +585,4 @@ def acquisition_worth(option: NextAcquisition) -> str:
 
 
 def _suspects(summary: Summary) -> list[str]:
-    return [name for name in summary.set90 if name not in NOT_EFFECTS]
+    return list(summary.rivals)

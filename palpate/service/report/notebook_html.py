@@ -8,7 +8,13 @@ from numpy.typing import NDArray
 
 from palpate.service.diagnosis.diagnosed_constants import judged_constants
 from palpate.service.diagnosis.diagnosis_run import FinishedDiagnosis
-from palpate.service.diagnosis.diagnosis_words import likely, magnitude, sentence, spoken
+from palpate.service.diagnosis.diagnosis_words import (
+    fitted_causes,
+    magnitude,
+    sentence,
+    spoken,
+    strength,
+)
 from palpate.service.number_formatting import number, symbol
 from palpate.service.report.drawing import colours
 from palpate.service.report.drawing.raster import png_uri
@@ -71,18 +77,18 @@ def comparison_html(comparison: StudyComparison) -> Markup:
 
 
 def diagnosis_html(diagnosis: FinishedDiagnosis) -> Markup:
-    """Return the verdict of a diagnosis, the most likely causes and the constants."""
+    """Return the verdict of a diagnosis, the fitted causes and the constants."""
     summary = diagnosis.summary
     title = Markup("<p><b>{}</b>: {}</p>").format(summary.case, sentence(summary))
-    ranked = sorted(summary.effects, key=lambda one: -one.probability)[:MOST_CAUSES]
-    causes = [(spoken(row.name), likely(row.probability), magnitude(row)) for row in ranked]
+    ranked = fitted_causes(summary)[:MOST_CAUSES]
+    causes = [(spoken(row.name), strength(gain), magnitude(row)) for row, gain in ranked]
     constants = [
         (symbol(name, row.unit), row.text, "yes" if row.answer.quotable else "no")
         for name, row in judged_constants(summary).items()
     ]
     return (
         title
-        + _table("", ("cause", "probability", "magnitude"), causes)
+        + _table("", ("cause", "evidence", "magnitude"), causes)
         + _table("", ("constant", "value", "quotable"), constants)
     )
 

@@ -72,11 +72,6 @@ class StateCorrelation:
 class NoiseSettings:
     """Settings of segmentation errors in addition to the given noise."""
 
-    # [gap-opened2] Power of the evidence; see `averaged_evidence`. On 37 bodies
-    # solved by FEBio, false second causes gain 3 to 11 nats, false alarms 6 to 19, and true second
-    # causes 49 to 176.
-    coarsening: float = 0.3
-
     # [null replicates, set 2] Standard deviation of the bias of a whole interface, drawn too large
     # or too small, in standard deviations of the segmentation: points were chosen on one noisy
     # scan. On bodies without a missing effect, means over an interface and all scans scatter by
@@ -89,53 +84,21 @@ class NoiseSettings:
     # noise of 0.3 mm and more has it; 0.3 to 0.35 and 2 to 2.5 are equally good.
     smoother: float = 0.30
     smoother_lengths: float = 2.5
-    # [sets 10 and 11, hard sets 7 and 8] Mean and scatter of the skin stiffness, in N/mm, that
-    # screening finds on bodies without a skin, if the scan at rest has the segmentation error
-    # below: on ten bodies without a missing effect 0 to 107 N/m, 42 on average, with two directions
-    # of compression, and 45 to 123 with one. See `workers.diagnosis.fits.model_errors`.
-    rough_skin_n_per_mm: float = 0.045
-    rough_skin_sd_n_per_mm: float = 0.035
-    rough_at_mm: float = 0.28
     # [numerics] Neglected variance of the common error of flat faces, in mm^2; see
     # `workers.diagnosis.problem.scan_noise`.
     voxel_variance_mm2: float = 0.002
-    # [prior] Standard deviation of the log ratio of true to given segmentation noise, where a
-    # factor of 2 in either direction costs one and a half nats; and the scatter of single
-    # interfaces around it.
-    scale_log_sd: float = 0.405
-    interface_log_sd: float = 0.2
-    # [prior] ln of the ratio of the noise at either end of the body to the noise in the middle,
-    # along each axis: a factor of 1.5 from end to end is one standard deviation.
-    uneven_sd: float = 0.2
-    # [prior] Correlation lengths relative to the given length, and the standard deviation of their
-    # logarithm.
-    lengths: tuple[float, ...] = (0.7, 1.0, 1.4)
-    length_log_sd: float = 0.34
-    # [prior] Numerical error relative to its assumed size; see `NumericalSettings`.
-    numerical_scales: tuple[float, ...] = (0.5, 1.0, 2.0)
-    numerical_log_sd: float = 0.5
     # [numerics] Change of a scale's logarithm at which its fixed point has converged (some 1200
     # residuals determine it to within 0.02 or 0.03); maximum number of iterations; bounds of the
     # scales.
     scale_settled: float = 0.005
     scale_iterations: int = 12
     scale_bounds: tuple[float, float] = (0.2, 5.0)
-    # [cost] Noise states this far behind the best state, in nats, are omitted.
-    hopeless_nats: float = 5.0
     # [principle] Amplitude and length of the field that absorbs a possible gap while scales are
     # learnt: so large that the field is almost free, as otherwise the noise that it absorbs would
     # be missed.
     learning_field: tuple[float, float] = (1.0, 20.0)
-    # [cost] Number of the likeliest noise states for which a smooth field is evaluated.
-    field_states: int = 1
-    # [principle] The noise is estimated again at the points of the best single effect if their root
-    # mean square shift reaches this multiple of the standard deviation of the noise across the
-    # interfaces, or of its correlation length along them.
-    elsewhere: float = 1.0
     # [prior] Given or measured noise that differs from the learnt noise by this factor is reported.
     misstated: float = 1.25
-    # [prior] Noise this many times larger in one part of the body than in another is also reported.
-    uneven_ratio: float = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,10 +140,6 @@ class PoseSettings:
 
     shift_sd_mm: float = 0.3
     turn_sd_deg: float = 0.3
-    # Equally probable ratios of a case's true deviations to these: the headers of some scans are
-    # accurate, and effects that shift a body as a pose does are then visible. Less than a tenth of
-    # a millimetre would be below voxel and numerical errors.
-    scales: tuple[float, ...] = (0.3, 1.0)
     # Bias of an interface in one scan, due to a habit or half a voxel, in standard deviations of
     # the segmentation.
     drawing: float = 0.3
@@ -215,32 +174,6 @@ class NumericalSettings:
     )
     # [numerics] Fraction of its variance that a low-rank factor may neglect.
     rank_tolerance: float = 0.3
-
-
-@dataclass(frozen=True, slots=True)
-class FormSettings:
-    """Settings of the difference between a real effect's pattern and the catalogue's [prior].
-
-    The pattern is the change in the residuals due to the effect, after refitting constants and
-    poses. The error is the local size of the pattern times a smooth field. Lengths are multiples of
-    the organ's length for the smooth field.
-    """
-
-    # [set 8, hard set 5] Standard deviation of the error relative to the pattern: a fifth, within a
-    # factor of two.
-    relative_sds: tuple[float, ...] = (0.1, 0.2, 0.4, 0.8)
-    typical_sd: float = 0.2
-    log_sd: float = 0.7
-    # [set 8, hard set 5] Relative standard deviation for effects that do not act but resemble an
-    # unlisted cause; [open cases] prior probability of such a case.
-    likeness_sd: float = 0.8
-    likeness: float = 0.03
-    lengths: float = 1.5
-    # Length for averaging the size of a pattern, so that the error does not vanish where the
-    # pattern changes sign.
-    envelope_lengths: float = 0.6
-    state_correlation: StateCorrelation = field(default=StateCorrelation(along=0.9, across=0.3))
-    rank_tolerance: float = 2e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -392,24 +325,14 @@ class JointFitSettings:
     # For a body between plates that begin 5 mm in front of the wall, that effect gains 2.9 nats in
     # the screening, and 59 more than any other effect after a fit.
     far_off: float = 10.0
-    # [cost] Number of the best effects that are paired with each other.
+    # [cost] Number of effects that are added, one at a time, to the named ones.
     partners: int = 3
-    # [by hand] An effect this far behind the best in the screening, in nats, is not fitted, nor
-    # fitted again after a second reading of the noise.
-    far_behind: float = 60.0
-    # [by hand] The exception is an effect that gains this fraction of the best gain: if the data
-    # are much finer than the effects, the linear model is off by more than that.
-    nearly: float = 0.5
     # [cost] An effect that gains less than this, in nats, is not fitted. In 20 opened bodies, none
     # of 18 such refits gained more than 1.4 nats, and most lost evidence; a lump takes 10 to 30 s.
     least_gain: float = 1.0
-    # [by hand] Pairs are fitted if a smooth field gains this much in addition to the best effect.
-    left_over: float = 1.0
-    # [principle] A pair is also fitted if the second effect gains this much coarsened evidence in
-    # the screening: twenty to one. The same rule applies to a third effect with the best pair.
-    second_gain: float = 3.0
-    # [cost] Number of third effects that are fitted.
-    thirds: int = 2
+    # [cost] An effect whose expected gain over the residuals of a fit is smaller is not added: it
+    # would have to gain three times as much to be named.
+    second_gain: float = 5.0
     # [numerics] Start of a fit, as a fraction of the value expected from screening. A one-sided
     # parameter, which has a secant, starts at the expected value itself.
     start: float = 0.5
@@ -485,32 +408,20 @@ class FieldSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class OddsSettings:
-    """Prior probability of each kind of hypothesis; they sum to 1 [prior]."""
+class SelectionSettings:
+    """Thresholds of the rule that names causes, in nats; see `verdict.cause_selection`."""
 
-    nothing: float = 0.30
-    field: float = 0.15
-    single: float = 0.38
-    single_and_field: float = 0.02
-    pair: float = 0.11
-    pair_and_field: float = 0.01
-    triple: float = 0.025
-    triple_and_field: float = 0.005
-    # Probability that effects combined with an unlisted cause really act, rather than only
-    # resembling a part of it. If they act, the share of the evidence due to the unlisted cause is
-    # small, exponentially distributed with the mean below; if they only resemble it, all shares are
-    # equally probable.
-    beside_unlisted: float = 0.5
-    unlisted_part: float = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class VerdictSettings:
-    """Settings of the verdict."""
-
-    # [principle] Probability of the credible set, above which a second effect of the best pair is
-    # also named.
-    credible: float = 0.9
+    # [gap-opened2] The first cause is named if it gains more than this. The ten controls gain at
+    # most 3.6 nats, except 7.9 with half the true noise stated and 25.8 with a displaced scan; true
+    # causes that can be seen gain 14 and more.
+    first: float = 10.0
+    # [gap-opened2] A further one if it adds more than this.
+    further: float = 15.0
+    # [principle] Causes closer than this to the best cannot be told apart.
+    tie: float = 5.0
+    # [gap-opened2] A smooth field that gains more than this beside the named causes shows that
+    # something else acts.
+    left: float = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -524,12 +435,12 @@ class GapSettings:
     # % are between these multiples of the median.
     floor_factor: float = 1.3
     floor_range: tuple[float, float] = (0.62, 1.7)
-    # [hard set 17, open cases] Multiple of the floor that the draws of constants, forms and fields
-    # do not include: on 60 bodies of the hard world, the intervals contain 48 true gaps with a
-    # multiple of zero, 46 with this value and 41 with 1.3. Models of nine FEBio bodies with the
-    # right effect have errors of 0.12 to 0.19 mm, where 0.09 to 0.15 is reported with this value
-    # and 0.11 to 0.18 with 1.3.
-    undrawn: float = 0.8
+    # [gap-opened, gap-opened2] Factor on standard deviations of constants and magnitudes fitted to
+    # scans: what another solver does differently is common to all points, unlike noise.
+    solver_spread: float = 1.8
+    # [gap-opened, gap-opened2] Standard deviation of a magnitude relative to its size, because a
+    # real effect has another form than the catalogue's.
+    form_sd: float = 0.2
     # [set 4] Relative standard deviation of the error in the noise variance between cases: the mean
     # square of the residuals scatters by 6 % instead of the theoretical 4 %.
     noise_variance_sd: float = 0.045
@@ -547,9 +458,6 @@ class GapSettings:
     # bodies, fits move scans by at most 1.1 times that error, but a fit that does not constrain an
     # edge moves them by hundreds.
     unseen_reach: float = 3.0
-    # [numerics] Less probable hypotheses are left out of the posterior: they would not change a 90
-    # % interval.
-    heard: float = 0.01
     # [numerics] A region is significant if its interval stays above this.
     nothing_mm: float = 1e-9
     # [principle] Minimum number of residuals for which a region has its own gap.
@@ -589,14 +497,12 @@ class Settings:
     unmatched: UnmatchedSettings = field(default_factory=UnmatchedSettings)
     pose: PoseSettings = field(default_factory=PoseSettings)
     numerical: NumericalSettings = field(default_factory=NumericalSettings)
-    form: FormSettings = field(default_factory=FormSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     sensitivities: SensitivitySettings = field(default_factory=SensitivitySettings)
     detectability: DetectabilitySettings = field(default_factory=DetectabilitySettings)
     joint_fits: JointFitSettings = field(default_factory=JointFitSettings)
     smooth_field: FieldSettings = field(default_factory=FieldSettings)
-    prior_odds: OddsSettings = field(default_factory=OddsSettings)
-    verdict: VerdictSettings = field(default_factory=VerdictSettings)
+    selection: SelectionSettings = field(default_factory=SelectionSettings)
     gap: GapSettings = field(default_factory=GapSettings)
     plan: PlanSettings = field(default_factory=PlanSettings)
 

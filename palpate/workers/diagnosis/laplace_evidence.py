@@ -17,7 +17,6 @@ For the orthant probability, the variables are separated after A. Genz, J. Compu
 averaged over a fixed lattice of points, so results are reproducible.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -88,89 +87,16 @@ class Quadratic(NamedTuple):
     Parameters
     ----------
     misfit : ndarray, shape (...)
-        ``rho' M rho``, with M the precision of the noise in whitened space.
+        ``rho' rho``.
     gradient : ndarray, shape (..., p)
-        ``A' M rho``.
+        ``A' rho``.
     curvature : ndarray, shape (..., p, p)
-        ``A' M A``.
-    log_determinant : ndarray, shape (...)
-        ``-ln|M|``.
+        ``A' A``.
     """
 
     misfit: FloatArray
     gradient: FloatArray
     curvature: FloatArray
-    log_determinant: FloatArray
-
-    @classmethod
-    def stacked(cls, several: Sequence["Quadratic"]) -> "Quadratic":
-        """Stack misfits of equal shape along a new first axis."""
-        return cls(*(np.stack(parts) for parts in zip(*several, strict=True)))
-
-    def of(self, which: IntArray) -> "Quadratic":
-        """Return the misfits with only the parameters in each row of `which`, (g, k), free."""
-        return Quadratic(
-            self.misfit[..., None],
-            self.gradient[..., which],
-            self.curvature[..., which[:, :, None], which[:, None, :]],
-            self.log_determinant[..., None],
-        )
-
-    def scaled(self, factors: FloatArray) -> "Quadratic":
-        """Return the misfit with prior standard deviations scaled by factors, (p,)."""
-        return self._replace(
-            gradient=self.gradient * factors, curvature=self.curvature * np.outer(factors, factors)
-        )
-
-
-class Posterior(NamedTuple):
-    """Posterior mean (..., p) and covariance (..., p, p), in prior standard deviations."""
-
-    mean: FloatArray
-    covariance: FloatArray
-
-
-def quadratic(at: Linearised) -> Quadratic:
-    """Return the quadratic misfit of one fit under its own noise."""
-    A, rho = at.scaled_nominal, at.whitened_residual
-    return Quadratic(np.array(rho @ rho), A.T @ rho, A.T @ A, np.zeros(()))
-
-
-def posterior(q: Quadratic, offset: FloatArray) -> Posterior:
-    """Return the posterior of the parameters relative to their prior means.
-
-    Parameters
-    ----------
-    q : Quadratic
-    offset : ndarray, shape (p,)
-        Fit minus prior mean, in prior standard deviations.
-    """
-    covariance = np.asarray(np.linalg.inv(np.eye(len(offset)) + q.curvature), dtype=np.float64)
-    step = (covariance @ (q.gradient + offset)[..., None])[..., 0]
-    return Posterior(offset - step, covariance)
-
-
-class Sides(NamedTuple):
-    """The side of an edge to which each parameter is restricted, shape (p,) each.
-
-    Parameters
-    ----------
-    side : ndarray of int
-        1 for above the edge, -1 for below, 0 for either side.
-    edge : ndarray
-        Edge in prior standard deviations from the prior mean.
-    """
-
-    side: IntArray
-    edge: FloatArray
-
-
-def sides(offset: FloatArray, one_sided: BoolArray, at_bound: IntArray | None = None) -> Sides:
-    """Return the restrictions on the parameters of a fit; see `log_marginal`."""
-    bound = np.zeros(len(offset), np.int32) if at_bound is None else at_bound
-    stopped = bound != 0
-    side = np.where(stopped, bound, one_sided).astype(np.int32)
-    return Sides(side, np.where(stopped, offset, 0.0))
 
 
 def log_marginal(
@@ -189,14 +115,15 @@ def log_marginal(
         Parameters that the fit stopped at a bound, which are restricted to its inner side: 1 at a
         lower bound, -1 at an upper bound, 0 for all others.
     """
-    side, edge = sides(offset, one_sided, at_bound)
-    held = side != 0
+    bound = np.zeros(len(offset), np.int32) if at_bound is None else at_bound
+    side = np.where(bound != 0, bound, one_sided)
+    held, edge = side != 0, np.where(bound != 0, offset, 0.0)
     # Restricted parameters come last: the last corner of the factor has their covariance.
     order = np.argsort(held, kind="stable")
     curvature = q.curvature[..., order[:, None], order]
     L, y = _factored(curvature, (q.gradient + offset)[..., order])
     log_H = 2.0 * np.log(np.diagonal(L, axis1=-2, axis2=-1)).sum(axis=-1)
-    evidence = 0.5 * ((y**2).sum(axis=-1) - q.misfit - offset @ offset - log_H - q.log_determinant)
+    evidence = 0.5 * ((y**2).sum(axis=-1) - q.misfit - offset @ offset - log_H)
     if held.any():
         count = int(held.sum())
         inverse = np.linalg.inv(L[..., -count:, -count:]).swapaxes(-1, -2)
@@ -237,4 +164,6 @@ def log_evidence(
     """
     if one_sided is None:
         one_sided = np.zeros(len(at.nominal_sd), dtype=bool)
-    return float(log_marginal(quadratic(at), at.scaled_offset, one_sided, at_bound))
+    A, rho = at.scaled_nominal, at.whitened_residual
+    misfit = Quadratic(np.array(rho @ rho), A.T @ rho, A.T @ A)
+    return float(log_marginal(misfit, at.scaled_offset, one_sided, at_bound))

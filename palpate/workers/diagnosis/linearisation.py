@@ -207,10 +207,6 @@ class EffectSensitivity:
         Plausible scale of each parameter, > 0.
     one_sided : ndarray of bool, shape (q,)
         Whether a parameter is nonnegative, with a half-normal prior.
-    held_sd : tuple of float
-        See `Effect.held_sd`.
-    resembles_roughness : bool
-        See `Effect.resembles_roughness`.
 
     Raises
     ------
@@ -223,8 +219,6 @@ class EffectSensitivity:
     columns: FloatArray
     prior_sd: FloatArray
     one_sided: BoolArray
-    held_sd: tuple[float, ...] = ()
-    resembles_roughness: bool = False
 
     def __post_init__(self) -> None:
         q = len(self.prior_sd)
@@ -321,8 +315,6 @@ class LinearFit:
         Residuals used in the fit; all by default.
     judge : ndarray of bool, shape (m,), optional
         Residuals used to assess the fit; all by default.
-    fitted : bool
-        If False, the parameters stay unchanged and the residuals are those before a fit.
     registration : Registration, optional
         Replaces the last parameters, the poses of the scans.
 
@@ -337,7 +329,6 @@ class LinearFit:
         problem: Linearised,
         train: BoolArray | None = None,
         judge: BoolArray | None = None,
-        fitted: bool = True,
         registration: Registration | None = None,
     ) -> None:
         every = np.ones(problem.size, dtype=bool)
@@ -351,8 +342,8 @@ class LinearFit:
                 )
         self.problem = problem
         self.judge = judge
-        p = len(problem.nominal_sd) if fitted else 0
-        self._columns = (problem.nominal * problem.nominal_sd)[:, :p]
+        p = len(problem.nominal_sd)
+        self._columns = problem.nominal * problem.nominal_sd
         self.gain: FloatArray = np.zeros((p, problem.size))
         self.bias: FloatArray = np.zeros(p)
         if p:

@@ -7,15 +7,14 @@
     calibration    points kept, noise, constants, derivatives
     sensitivity    columns of one effect in one scan
     joint fit      some effects fitted with the constants
-    reading        noise, constants and derivatives, estimated at the points of a joint fit
     outcome        the summary, and residuals on the interfaces
 
 The learnt noise of a calibration is converted to arrays and back.
 
 Each process builds the mesh once from the source and the preparations. A process that works alone
 makes the preparations itself and does not store them. Every process solves the nominal equilibria
-again from rest at the stored constants, and starts the equilibria of another noise estimate from
-there, so a joint fit does not depend on the process that computes it.
+again from rest at the stored constants, so a joint fit does not depend on the process that computes
+it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -33,21 +32,15 @@ from palpate.workers.diagnosis.fits.effect_sensitivities import ScanSensitivity,
 from palpate.workers.diagnosis.fits.gauss_newton import Fit, SolvedFit
 from palpate.workers.diagnosis.fits.nominal_calibration import with_anchored_scans
 from palpate.workers.diagnosis.linearisation import EffectSensitivity
-from palpate.workers.diagnosis.noise.noise_components import LearntNoise, NoiseParts, NoiseState
-from palpate.workers.diagnosis.noise.noise_learning import with_factors
+from palpate.workers.diagnosis.noise.noise_components import LearntNoise
 from palpate.workers.diagnosis.outcome.diagnosis_source import PreparedSource, Source
 from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
 from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, unknowns
 from palpate.workers.diagnosis.problem.prepared_parts import Prepared
-from palpate.workers.diagnosis.problem.scan_noise import (
-    noise_lengths,
-    stated_covariances,
-    with_pressed_points,
-)
+from palpate.workers.diagnosis.problem.scan_noise import stated_covariance, with_pressed_points
 from palpate.workers.diagnosis.problem.scan_prediction import ComparedScan, predict_scan, registered
 from palpate.workers.diagnosis.verdict.joint_fit import JointFit
 from palpate.workers.mechanics.effects.effect import Effect
-from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium
 from palpate.workers.mechanics.fem.discretisation import Model
 from palpate.workers.organs.source_registry import source_module
 from palpate.workers.plugins import foreign_plugins
@@ -68,43 +61,25 @@ def noise_arrays(inverse: InverseProblem) -> Arrays:
     if learnt is None:
         raise ValueError("the noise is only known after the calibration")
     anchors = {"noise_anchors": np.stack(inverse.anchors)} if inverse.anchors else {}
-    pressed = np.stack([inverse.followed(scan).pressed for scan in inverse.scans])
-    uneven = {} if learnt.parts.uneven is None else {"noise_uneven": learnt.parts.uneven}
     return {
         **anchors,
-        **uneven,
-        "noise_pressed": pressed,
-        "noise_fixed": learnt.parts.fixed,
-        "noise_numerical": learnt.parts.numerical,
-        "noise_state_lengths": np.array([s.length for s in learnt.states], np.int32),
-        "noise_state_scales": np.stack([s.scales for s in learnt.states]),
-        "noise_state_numerical": np.array([s.numerical for s in learnt.states]),
-        "noise_state_log_weights": np.array([s.log_weight for s in learnt.states]),
-        "noise_state_shares": np.array([s.share for s in learnt.states]),
+        "noise_pressed": np.stack([inverse.followed(scan).pressed for scan in inverse.scans]),
+        "noise_fixed": learnt.fixed,
+        "noise_numerical": learnt.numerical,
+        "noise_scales": learnt.scales,
     }
 
 
 def with_stored_noise(inverse: InverseProblem, arrays: Arrays) -> InverseProblem:
     """Return a problem, already reduced to its calibrated points, with its stored noise."""
     inverse = with_pressed_points(inverse, list(arrays["noise_pressed"]))
-    parts = NoiseParts(
-        stated=stated_covariances(inverse),
-        lengths=noise_lengths(inverse),
+    learnt = LearntNoise(
+        stated=stated_covariance(inverse),
         groups=np.tile(inverse.points.interface, len(inverse.scans)),
         fixed=arrays["noise_fixed"],
         numerical=arrays["noise_numerical"],
+        scales=arrays["noise_scales"],
     )
-    if "noise_uneven" in arrays:
-        parts = with_factors(parts, arrays["noise_uneven"])
-    rows = zip(
-        arrays["noise_state_lengths"].tolist(),
-        arrays["noise_state_scales"],
-        arrays["noise_state_numerical"].tolist(),
-        arrays["noise_state_log_weights"].tolist(),
-        arrays["noise_state_shares"].tolist(),
-        strict=True,
-    )
-    learnt = LearntNoise(parts, tuple(NoiseState(*row) for row in rows))
     known = replace(inverse, learnt=learnt, covariance=learnt.covariance)
     return (
         with_anchored_scans(known, list(arrays["noise_anchors"])) if inverse.is_segmented else known
@@ -226,9 +201,6 @@ class DiagnosisStore:
     ----------
     request : DiagnosisRequest
         The request, with its name; see `named`.
-    read_at : tuple of str
-        Effects at whose joint fit the noise is estimated; none for the points of the nominal
-        model. Joint fits are stored separately for each noise estimate.
 
     Raises
     ------
@@ -236,7 +208,7 @@ class DiagnosisStore:
         If this process derives a different name for the diagnosis.
     """
 
-    def __init__(self, request: DiagnosisRequest, read_at: Sequence[str] = ()) -> None:
+    def __init__(self, request: DiagnosisRequest) -> None:
         here = named(request).name
         if here != request.name:
             raise StoreError(
@@ -244,12 +216,8 @@ class DiagnosisStore:
                 f"{request.name} and {here}. `palpate doctor` lists the versions; install the "
                 "same one everywhere."
             )
-        self.request, self.read_at = request, tuple(read_at)
+        self.request = request
         self.parts = TaskStore(request.store)
-
-    def read_again_at(self, effects: Sequence[str]) -> "DiagnosisStore":
-        """Return the same diagnosis with the noise estimated at the points of a joint fit."""
-        return DiagnosisStore(self.request, effects)
 
     # The source
 
@@ -271,8 +239,6 @@ class DiagnosisStore:
     @property
     def uncalibrated(self) -> InverseProblem:
         """The body with its scans, before any fit."""
-        if self.read_at:
-            return self._first.uncalibrated
         nodes, spacing_mm = self.request.nodes, self.request.spacing_mm
         return self._cached(
             "uncalibrated",
@@ -317,14 +283,9 @@ class DiagnosisStore:
         """Return the sensitivity columns of one effect in one scan."""
         return self._part("sensitivity", effect, scan)
 
-    @property
-    def reading(self) -> Part:
-        """Noise, constants and derivatives, from the calibration unless estimated again."""
-        return self._part("reading", *self.read_at) if self.read_at else self.calibration
-
     def joint_fit(self, effects: Sequence[str]) -> Part:
         """Return the joint fit of some effects."""
-        return self._part("joint fit", " ".join(self.read_at), *effects)
+        return self._part("joint fit", *effects)
 
     @property
     def outcome(self) -> Part:
@@ -371,12 +332,6 @@ class DiagnosisStore:
         )
         return JointFit(tuple(effects), fit, record.log_evidence)
 
-    def single_fits(self) -> list[JointFit]:
-        """Return the fits of all single effects under the first noise estimate."""
-        stored = [[e] for e in self.effects if self._first.has_joint_fit([e])]
-        found = [self._first.load_joint_fit(one) for one in stored]
-        return [one for one in found if one is not None]
-
     def save_joint_fit(
         self, effects: Sequence[str], fitted: JointFit | None, seconds: float
     ) -> None:
@@ -398,32 +353,21 @@ class DiagnosisStore:
         )
         part.save(record, arrays)
 
-    @property
-    def _first(self) -> "DiagnosisStore":
-        """The same diagnosis with the noise estimated at the points of the nominal model."""
-        return DiagnosisStore(self.request)
-
     def _inverse(self) -> InverseProblem:
-        _, points = self.calibration.load(CalibrationRecord)
-        _, noise = self.reading.load(CalibrationRecord)
-        kept = self.uncalibrated.keeping(points["kept"])
-        return with_stored_noise(replace(kept, bias=points["bias"]), noise)
+        _, arrays = self.calibration.load(CalibrationRecord)
+        kept = self.uncalibrated.keeping(arrays["kept"])
+        return with_stored_noise(replace(kept, bias=arrays["bias"]), arrays)
 
     def _nominal(self) -> SolvedFit:
-        record, arrays = self.reading.load(CalibrationRecord)
+        record, arrays = self.calibration.load(CalibrationRecord)
         inverse, z = self.inverse, arrays["z"]
         free = unknowns(inverse.free, [])
-        rest: Sequence[Equilibrium | None] = [None] * len(inverse.scans)
-        starts = self._first.nominal.starts() if self.read_at else rest
-        predicted = [
-            predict_scan(inverse, scan, free, z, start)
-            for scan, start in zip(inverse.scans, starts, strict=True)
-        ]
+        predicted = [predict_scan(inverse, scan, free, z, None) for scan in inverse.scans]
         solved = tuple(prediction for prediction in predicted if prediction is not None)
         if len(solved) < len(predicted):
             raise StoreError(
                 "The calibrated constants were not solved again from rest. Remove "
-                f"{self.reading.path} and run the diagnosis again."
+                f"{self.calibration.path} and run the diagnosis again."
             )
         return SolvedFit(
             unknowns=free,
@@ -437,13 +381,7 @@ class DiagnosisStore:
 
     def _analysis(self, nominal: SolvedFit) -> NominalAnalysis:
         found = [self._joined(effect) for effect in self.effects]
-        begun = {one.names[0]: one.fit.values() for one in self.single_fits()}
-        return NominalAnalysis(
-            self.inverse,
-            nominal,
-            [one for one in found if one is not None],
-            begun if self.read_at else {},
-        )
+        return NominalAnalysis(self.inverse, nominal, [one for one in found if one is not None])
 
     def _joined(self, effect: Effect) -> EffectSensitivity | None:
         scans = []
@@ -456,4 +394,4 @@ class DiagnosisStore:
         return Part(self.parts, digest("diagnosis", self.request.name, kind, *which))
 
     def _cached(self, what: str, make: Callable[[], T]) -> T:
-        return self.parts.cached(("diagnosis", self.request.name, self.read_at, what), make)
+        return self.parts.cached(("diagnosis", self.request.name, what), make)

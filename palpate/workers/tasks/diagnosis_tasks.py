@@ -6,7 +6,6 @@
     calibrate_nominal  a case               > constants, points and noise in the store
     analyse_effect     one effect, one scan > its change in the residuals
     fit_effects        up to three effects  > the most probable constants and magnitudes
-    read_noise_again   the best effect      > constants and noise, estimated at its fitted points
     weigh_hypotheses   all of these         > the fits still missing, or the outcome
 
 Every task is idempotent: stored results are not computed again. A request names digests, so
@@ -33,11 +32,9 @@ from palpate.workers.diagnosis.problem.scan_prediction import predict_scan
 from palpate.workers.diagnosis.verdict.diagnosis_course import (
     Course,
     Diagnosis,
-    SecondReading,
     advance,
     base_of,
     diagnose,
-    read_again,
 )
 from palpate.workers.diagnosis.verdict.joint_fit import fit_jointly
 from palpate.workers.kernels_and_threads import Each, scan_threads
@@ -62,20 +59,14 @@ class WeighingRecord:
     ----------
     wanted : tuple of tuple of str
         Joint fits, by the names of their effects.
-    read_at : tuple of str
-        Effects at whose joint fit the noise is estimated; empty for the first estimate.
-    unread : bool
-        True if that estimate itself is missing.
     """
 
     wanted: tuple[tuple[str, ...], ...] = ()
-    read_at: tuple[str, ...] = ()
-    unread: bool = False
 
     @property
     def is_open(self) -> bool:
         """True if anything is missing."""
-        return self.unread or bool(self.wanted)
+        return bool(self.wanted)
 
 
 def prepare_scan(request: DiagnosisRequest, name: str) -> PreparationRecord:
@@ -112,32 +103,14 @@ def calibrate_nominal(request: DiagnosisRequest, threads: int = 1) -> Calibratio
         with scan_threads(threads) as each:
             inverse, fit = calibrate(whole, store.finer(), each)
         points = {"kept": kept_of(whole.points, inverse.points), "bias": inverse.bias}
-        _save_reading(part, inverse, fit, points, time.perf_counter() - begun)
+        _save_calibration(part, inverse, fit, points, time.perf_counter() - begun)
     return part.record(CalibrationRecord)
 
 
-def read_noise_again(
-    request: DiagnosisRequest, effects: tuple[str, ...], threads: int = 1
-) -> CalibrationRecord:
-    """Estimate the noise at the points of the joint fit of `effects`; refit the constants."""
-    store = DiagnosisStore(request)
-    part = store.read_again_at(effects).reading
-    if not part.is_finished:
-        begun = time.perf_counter()
-        best = store.load_joint_fit(store.combination(effects))
-        if best is None:
-            raise ValueError(f"{effects} could not be simulated: cannot estimate the noise there")
-        with scan_threads(threads) as each:
-            analysis = read_again(store.analysis, store.single_fits(), best, each)
-        seconds = time.perf_counter() - begun
-        _save_reading(part, analysis.inverse, analysis.nominal, {}, seconds)
-    return part.record(CalibrationRecord)
-
-
-def _save_reading(
+def _save_calibration(
     part: Part, inverse: InverseProblem, fit: SolvedFit, arrays: Arrays, seconds: float
 ) -> None:
-    """Save a noise estimate and the constants fitted under it."""
+    """Save the constants and the noise that was learnt at them."""
     record = CalibrationRecord(
         points=len(inverse.points),
         left_out=inverse.left_out,
@@ -171,10 +144,7 @@ def analyse_effect(request: DiagnosisRequest, effect: str, scan: int) -> Sensiti
 
 
 def fit_effects(
-    request: DiagnosisRequest,
-    effects: tuple[str, ...],
-    read_at: tuple[str, ...] = (),
-    threads: int = 1,
+    request: DiagnosisRequest, effects: tuple[str, ...], threads: int = 1
 ) -> JointFitRecord:
     """Fit the constants and the parameters of up to three effects.
 
@@ -182,12 +152,10 @@ def fit_effects(
     ----------
     request : DiagnosisRequest
     effects : tuple of str
-    read_at : tuple of str
-        See `WeighingRecord`.
     threads : int
         Number of threads that would otherwise be idle.
     """
-    store = DiagnosisStore(request, read_at)
+    store = DiagnosisStore(request)
     part = store.joint_fit(effects)
     if not part.is_finished:
         begun = time.perf_counter()
@@ -227,16 +195,10 @@ def replay(store: DiagnosisStore, course: Course) -> Diagnosis | WeighingRecord:
     """Run a diagnosis on its stored parts; return it, or the first missing parts."""
     reached = advance(course)
     while not isinstance(reached, Diagnosis):
-        if isinstance(reached, SecondReading):
-            store = store.read_again_at(reached.best.names)
-            if not store.reading.is_finished:
-                return WeighingRecord((), store.read_at, unread=True)
-            reached = advance(course, store.analysis)
-            continue
         missing = [combination for combination in reached if not store.has_joint_fit(combination)]
         if missing:
             names = tuple(tuple(e.name for e in effects) for effects in missing)
-            return WeighingRecord(names, store.read_at)
+            return WeighingRecord(names)
         reached = advance(course, [store.load_joint_fit(effects) for effects in reached])
     return reached
 

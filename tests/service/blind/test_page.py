@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from palpate.service.blind.blind_metrics import floor_mm, metrics
-from palpate.service.blind.blind_page import render, with_metrics
+from palpate.service.blind.blind_page import comparison, render, with_metrics
 from palpate.service.blind.case_truth import CaseRecord
 from palpate.service.blind.set_scoring import ScoredSet
 from tests.service.blind.blind_at_hand import nothing, record
@@ -33,7 +33,6 @@ FRICTION: dict[str, Any] = {
 
 def cases() -> list[CaseRecord]:
     """Return one case of every kind."""
-    sure = {"no-gap": 0.02, "none-of-these": 0.03, "plate_tilt": 0.93, "plate_friction": 0.35}
     return [
         nothing(name="a0", true_before_mm=0.10),
         nothing(
@@ -43,13 +42,13 @@ def cases() -> list[CaseRecord]:
             effects=("plate_force",),
             families=("loading",),
         ),
-        record(name="b0", probabilities=sure, held_out_share=-0.2),
+        record(name="b0", held_out_share=-0.2),
         record(
             name="b1",
             **FRICTION,
             answer="cannot-be-told-apart",
-            probabilities=sure,
-            set90=("plate_tilt", "plate_friction"),
+            rivals=("plate_tilt", "plate_friction"),
+            gain=12.4,
         ),
         record("pair", name="c0", kind="pair", effects=("plate_tilt", "plate_friction")),
         record("triple", name="c1", kind="triple", effects=("plate_tilt", "growth", "inclusion")),
@@ -81,7 +80,7 @@ def test_page_is_well_formed_and_self_contained(records: list[CaseRecord]) -> No
     page.needs_no_other_file()
     assert not {"script", "link", "iframe", "object"} & set(page.seen)
     assert all(image["alt"] for image in page.images)
-    assert len(page.drawings()) == 4
+    assert len(page.drawings()) == 3
     assert render(scored(records)) == source
 
 
@@ -91,12 +90,14 @@ def test_page_shows_the_metrics() -> None:
         "False alarms on controls and hidden effects",
         "0 %",
         "0 % to 66 %",
-        "2",
+        "0 of 2",
         "at most 5 %",
         "met",
     ]
-    assert page.row("One effect, visible: ranked first")[-1] == "not met"
-    assert page.row("Baseline, chance: ranked first")[1] == "50 %"
+    assert page.row("One effect, visible: named first")[-1] == "not met"
+    assert page.row("Baseline, chance: named first")[1:] == ["50 %", "", "2"]
+    assert page.row("10 to 20") == ["10 to 20", "no case", "", "1 of 1"]
+    assert page.row("20 to 50")[:2] == ["20 to 50", "4 of 4"]
     assert "The diagnosis that answered is not the one" in page.text
     assert "a finer mesh" in page.text
     assert "still has a gap of 0.10 mm, the floor" in page.text
@@ -121,12 +122,27 @@ def test_page_lists_wrong_answers() -> None:
     page = Page(render(scored(cases())))
     assert page.row("b1")[1:3] == [
         "plate frictionone effect",
-        "plate tilt (93 %), or plate friction",
+        "plate tilt, or plate friction (12 nats)",
     ]
     assert page.row("f0")[2] == "failedInputError: the scan <is> empty"
     assert page.row("f0")[3:] == ["–", "–", "–"]
     wrong = page.text.index("Wrong answers")
     assert page.text.index("b1", wrong) < page.text.index("Correct answers", wrong)
+
+
+def test_the_rule_of_the_smallest_residual_is_compared() -> None:
+    """The diagnosis and the rule each alarm on one of two controls."""
+    loud = [nothing(loudness={"refit": 0.1}), nothing(loudness={"refit": 0.3}, answer="effect")]
+    named = {"refit": "plate_tilt"}
+    right = [record(named_by=named, loudness={"refit": evidence}) for evidence in (0.2, 0.05)]
+    wrong = record(named_by=named | {"refit": "growth"}, loudness={"refit": 0.9})
+    said = (
+        "One visible effect is named first by the diagnosis in 3 of 3 cases, and by the smallest "
+        "residual of one refit at a time, with as many false alarms, in 1 of 3."
+    )
+    assert comparison(metrics([*loud, *right, wrong])) == said
+    assert said in Page(render(scored([*loud, *right, wrong]))).text
+    assert comparison(metrics(right)) == ""
 
 
 # The commands
@@ -167,12 +183,14 @@ def test_score_prints_metrics_and_writes_the_page(
     first = next(line for line in lines if line[:2] == ["False", "alarms"])
     assert first[-1] == "met"
     assert "Floor: 0.100 mm" in out
+    assert ["10", "to", "20", "no", "case", "1", "of", "1"] in lines
     assert Path("page.html").read_text().startswith("<!DOCTYPE html>")
     text = Path("blind.md")
     text.write_text("Before.\n<!-- figures -->\nstale\n<!-- end of figures -->\nAfter.\n")
     assert call("blind", "score", "set", "--into", text)[0] == 0
     written = text.read_text()
-    assert "| One effect, visible: ranked first | 33 % |" in written
+    assert "| One effect, visible: named first | 33 % | 6 % to 79 % | 1 of 3 |" in written
+    assert "| 10 to 20 | no case |  | 1 of 1 |" in written
     wrong = written.partition("| wrong answer to")[2].partition("<!-- end")[0].splitlines()[2:]
     assert len(wrong) == 2
     right = sum(int(n) for n in re.findall(r"\*\*[^*]+ (\d+)\*\*", written))

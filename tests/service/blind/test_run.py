@@ -151,6 +151,11 @@ def test_score_includes_the_seals(answered: Answering) -> None:
     by_key = {f["key"]: f for f in told["figures"]}
     assert by_key["first_visible"]["estimate"]["value"] == 1.0
     assert by_key["first_visible"]["met"] is True
+    assert sum(band["named"]["count"] for band in told["reliability"]) == 1
+    assert told["reliability"][2]["named"]["value"] == 1.0  # the tilt gains more than 50 nats
+    (tilt,) = (case for case in told["cases"] if case["kind"] == "tilt")
+    assert tilt["family_of"] == {"plate_tilt": "plate geometry"}
+    assert tilt["gain"] > 50
 
 
 @pytest.fixture
@@ -233,6 +238,22 @@ def test_rejects_scoring_of_incomplete_or_changed_sets(copy: BlindSet) -> None:
     truth.write_text(truth.read_text() + " ")
     with pytest.raises(InputError, match="does not have the sealed truth"):
         score_sets([(copy, truths)], "all")
+
+
+def test_answers_with_probabilities_must_be_given_again(copy: BlindSet) -> None:
+    def with_probabilities(path: Path) -> None:
+        read = read_json(path)
+        for key in ("rivals", "gain", "left_gain", "something_else"):
+            del read["summary"][key]
+        read["summary"] |= {"set90": ["plate_tilt"], "no_gap_probability": 0.01}
+        path.write_text(json.dumps(read))
+
+    for path in copy.answers("all").glob("*.json"):
+        with_probabilities(path)
+    names = sorted(p.name for p in copy.cases.iterdir())
+    said = rf"such as one that states probabilities .*`palpate blind run {copy.root} "
+    with pytest.raises(InputError, match=said):
+        read_records(copy, Truths(copy.truth_beside()), names, "all")
 
 
 def test_failed_diagnosis_is_recorded_with_its_reason(

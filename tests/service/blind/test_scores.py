@@ -1,34 +1,13 @@
 """Metrics of handmade answers, against values calculated by hand."""
 
-import math
 from math import sqrt
 from typing import Any
 
 import numpy as np
 import pytest
 
-from palpate.service.blind.answer_statistics import (
-    brier,
-    brier_of_base_rates,
-    calibration_curve,
-    calibration_error,
-    confusion,
-    correlation,
-    log_score,
-    mean,
-    median,
-    share,
-    statements,
-    sure_statements,
-)
-from palpate.service.blind.blind_metrics import (
-    Metric,
-    floor_mm,
-    metrics,
-    regrouped,
-    strata,
-    visible,
-)
+from palpate.service.blind.answer_statistics import confusion, mean, median, reliability, share
+from palpate.service.blind.blind_metrics import Metric, floor_mm, metrics, regrouped, visible
 from palpate.service.blind.case_truth import CaseRecord, Magnitude
 from palpate.service.blind.set_answering import (
     baseline_threshold,
@@ -53,17 +32,18 @@ def value(found: dict[str, Metric], key: str) -> tuple[float | None, int]:
 MISSED: dict[str, Any] = {
     "answer": "no-gap",
     "primary": (),
-    "primary_families": (),
-    "set90": ("no-gap",),
+    "gain": 3.0,
     "claimed_after_mm": None,
     "true_after_mm": None,
     "claimed_share": None,
     "held_out_share": None,
 }
-WRONG: dict[str, Any] = {
+WRONG: dict[str, Any] = {"primary": ("plate_friction",)}
+UNSURE: dict[str, Any] = {
+    "answer": "cannot-be-told-apart",
     "primary": ("plate_friction",),
-    "primary_families": ("boundary",),
-    "set90": ("plate_friction", "plate_tilt"),
+    "rivals": ("plate_friction", "plate_tilt"),
+    "gain": 12.0,
 }
 
 
@@ -90,32 +70,22 @@ def test_bootstrap_interval_has_its_nominal_coverage() -> None:
     assert median([1.0, 2.0, 30.0]).value == 2.0
 
 
-def test_correlation_equals_pearsons_coefficient() -> None:
-    found = correlation([0, 1, 2, 3], [0, 1, 4, 9])
-    assert found.value == pytest.approx(15 / sqrt(5 * 49))
-    assert correlation([1, 2], [1, 2]).value is None
-    assert correlation([1, 1, 1], [1, 2, 3]).value is None
-
-
 # Metrics
 
 
+def hidden_force(**changes: Any) -> CaseRecord:
+    return nothing("absorbed", effects=("plate_force",), families=("loading",), **changes)
+
+
 def test_false_alarms_count_controls_and_hidden_effects() -> None:
-    alarm = nothing(answer="none-of-these", set90=("none-of-these",))
-    hidden = nothing("absorbed", effects=("plate_force",), families=("loading",))
-    found = scored(nothing(), nothing(), alarm, hidden, record(**MISSED))
-    assert value(found, "false_alarms") == (0.25, 4)
+    outside = nothing(answer="none-of-these", something_else=True)
+    named = nothing(answer="effect", primary=("plate_tilt",), gain=8.0)
+    hidden, unsure = hidden_force(), hidden_force(**UNSURE)
+    missed = record(**MISSED)
+    found = scored(nothing(), nothing(), outside, named, hidden, hidden, hidden, unsure, missed)
+    assert value(found, "false_alarms") == (3 / 8, 8)
     assert found["false_alarms"].met is False
     assert scored(nothing())["false_alarms"].met is True
-
-
-def test_counts_sure_false_alarms_separately() -> None:
-    doubted = nothing(answer="none-of-these", probabilities={"none-of-these": 0.6, "no-gap": 0.3})
-    sure = nothing(answer="none-of-these", probabilities={"none-of-these": 0.95, "no-gap": 0.03})
-    named = nothing(answer="effect", primary=("plate_tilt",), probabilities={"plate_tilt": 0.92})
-    found = scored(nothing(), doubted, sure, named)
-    assert value(found, "false_alarms") == (0.75, 4)
-    assert value(found, "sure_alarms") == (0.5, 4)
 
 
 def test_hidden_effect_with_a_visible_gap_should_be_named() -> None:
@@ -133,19 +103,55 @@ def test_hidden_effect_with_a_visible_gap_should_be_named() -> None:
 
 
 def test_counts_named_effects_that_act() -> None:
-    unsure = record(answer="cannot-be-told-apart", **WRONG)
-    named = nothing(answer="effect", primary=("plate_tilt",), primary_families=("plate geometry",))
+    unsure = record(**UNSURE)
+    named = nothing(answer="effect", primary=("plate_tilt",))
     found = scored(record(), record(), record(), record(**WRONG), unsure, named)
     assert value(found, "named_right") == (0.6, 5)
-    assert value(found, "unsure_right") == (0.0, 1)
-    both = record(primary=("plate_tilt", "plate_friction"))
-    found = scored(record(), both)
-    assert value(found, "named_right") == (1.0, 2)
-    assert value(found, "strict") == (0.5, 2)
+    assert value(found, "complete") == (0.6, 5)
+    more = record(primary=("plate_tilt", "plate_friction"))
+    two = ("plate_tilt", "plate_friction")
+    fewer, both = record("pair", effects=two), record("pair", effects=two, primary=two[::-1])
+    found = scored(record(), more, fewer, both, record("relative", effects=()))
+    assert value(found, "named_right") == (1.0, 5)
+    assert value(found, "complete") == (0.5, 4)  # a relative has no name in the catalogue
+
+
+def test_effects_that_cannot_be_told_apart_are_counted_beside() -> None:
+    """Of four visible effects two are named first, and another is among the rivals."""
+    apart = record(**UNSURE | {"rivals": ("plate_friction", "inclusion")})
+    second = record(primary=("plate_friction", "plate_tilt"))
+    first = record(**UNSURE | {"primary": ("plate_tilt",)})
+    found = scored(record(), record(**UNSURE), apart, first)
+    assert value(found, "first_visible") == (0.5, 4)
+    assert value(found, "among_visible") == (0.75, 4)
+    assert value(scored(second), "among_visible") == (1.0, 1)
+
+
+def test_reliability_counts_first_causes_by_their_gain() -> None:
+    """Bands of 10 to 20, 20 to 50 and above 50 nats; a limit belongs to the band below it."""
+    cases = [
+        record(gain=12.5),
+        record(gain=20.0, **WRONG),
+        record(**UNSURE),
+        record(**UNSURE | {"rivals": ("plate_friction", "inclusion")}),
+        record(gain=20.1),
+        record("pair", gain=49.0, effects=("growth", "plate_tilt")),
+        record("relative", gain=50.0, effects=(), families=("boundary",)),
+        record("relative", gain=51.0, effects=()),
+        nothing(answer="effect", primary=("plate_tilt",), gain=300.0),
+        record(**MISSED),
+        nothing("unlike", kind="swelling", answer="none-of-these", gain=30.0),
+        CaseRecord("x", "tilt", "single", ("plate_tilt",), ("plate geometry",), "failed"),
+    ]
+    bands = reliability(cases)
+    assert [(b.above, b.up_to) for b in bands] == [(10.0, 20.0), (20.0, 50.0), (50.0, None)]
+    assert [(b.named.value, b.named.count) for b in bands] == [(0.5, 2), (2 / 3, 3), (0.5, 2)]
+    assert [(b.unsure.value, b.unsure.count) for b in bands] == [(0.5, 2), (None, 0), (None, 0)]
+    assert (bands[1].named.low, bands[1].named.high) == pytest.approx((0.2077, 0.9385), abs=5e-5)
 
 
 def test_faint_cases_are_scored_separately() -> None:
-    # The floor is the median control, 0.10 mm; visible is above 0.15 mm, clear above 0.30 mm.
+    # The floor is the median control, 0.10 mm; visible is above 0.15 mm.
     controls = [nothing(true_before_mm=g) for g in (0.05, 0.10, 0.40)]
     faint = [record(true_before_mm=0.15, **MISSED), record(true_before_mm=0.12)]
     seen = [record(true_before_mm=g) for g in (0.16, 0.29, 0.31)]
@@ -155,19 +161,7 @@ def test_faint_cases_are_scored_separately() -> None:
     found = scored(*cases)
     assert value(found, "first_visible") == (0.75, 4)
     assert found["first_visible"].met is False
-    shares = [value(found, f"first_{key}") for key in ("faint", "middling", "clear")]
-    assert shares == [(0.5, 2), (1.0, 2), (0.5, 2)]
-    assert value(found, "covered") == (4 / 6, 6)
-    assert value(found, "covered_visible") == (0.75, 4)
-    assert [len(chosen) for _, _, chosen in strata([record()], None)] == []
-
-
-def test_weak_effects_are_scored_separately() -> None:
-    weak = [record(strength=0.5, **MISSED), record(strength=3.9)]
-    strong = [record(strength=s) for s in (4.0, 7.0)]
-    found = scored(nothing(true_before_mm=0.1), *weak, *strong, record(**MISSED))
-    assert value(found, "first_weak") == (0.5, 2)
-    assert value(found, "first_strong") == (1.0, 2)
+    assert value(found, "among_visible") == (0.75, 4)
 
 
 def test_without_a_floor_all_gaps_are_visible() -> None:
@@ -175,60 +169,61 @@ def test_without_a_floor_all_gaps_are_visible() -> None:
 
 
 def test_causes_outside_the_catalogue_have_their_own_metrics() -> None:
-    def unlike(answer: str, gap: float) -> CaseRecord:
-        return nothing("unlike", kind="swelling", answer=answer, true_before_mm=gap)
+    def unlike(answer: str, gap: float, **more: Any) -> CaseRecord:
+        return nothing("unlike", kind="swelling", answer=answer, true_before_mm=gap, **more)
 
+    also = unlike("effect", 0.3, primary=("plate_tilt",), something_else=True)
     relative = record("relative", kind="bent_plate", effects=())
+    doubted = record("relative", kind="bent_plate", effects=(), something_else=True)
     strange = record("relative", kind="bent_plate", effects=(), **WRONG)
     found = scored(
         nothing(),
         unlike("none-of-these", 0.3),
-        unlike("effect", 0.3),
-        unlike("cannot-be-told-apart", 0.3),
+        also,
+        unlike("effect", 0.3, primary=("plate_tilt",)),
+        unlike("cannot-be-told-apart", 0.3, primary=("plate_tilt",)),
         unlike("no-gap", 0.3),
-        unlike("no-gap", 0.1),
+        unlike("none-of-these", 0.1),
         relative,
-        relative,
+        doubted,
         strange,
     )
-    assert value(found, "unlike_visible") == (1 / 4, 4)
-    assert value(found, "unlike_careful") == (2 / 4, 4)
-    assert value(found, "unlike") == (1 / 5, 5)
+    assert value(found, "unlike_visible") == (2 / 5, 5)
+    assert value(found, "relatives_outside") == (1 / 3, 3)
     assert value(found, "relatives") == (2 / 3, 3)
-    assert relative.right
-    assert not relative.covered  # no cause in the catalogue is true
+    assert (also.right, relative.right, strange.right) == (True, True, False)
 
 
-def test_pairs_are_scored_by_the_first_and_by_both_named_effects() -> None:
+def test_pairs_are_scored_by_the_first_and_by_all_named_effects() -> None:
     two = {"effects": ("plate_tilt", "plate_friction"), "families": ("plate geometry", "boundary")}
     first = record("pair", **two)
     both = record("pair", **two, primary=("plate_friction", "plate_tilt"))
-    other = record("pair", **two, primary=("inclusion",), primary_families=("local stiffness",))
-    found = scored(first, both, other)
-    assert value(found, "pairs_first") == (2 / 3, 3)
-    assert value(found, "pairs_both") == (1 / 3, 3)
+    more = record("pair", **two, primary=("plate_friction", "plate_tilt", "inclusion"))
+    other = record("pair", **two, primary=("inclusion",))
+    found = scored(first, both, more, other)
+    assert value(found, "pairs_first") == (3 / 4, 4)
+    assert value(found, "pairs_complete") == (1 / 4, 4)
+    assert found["pairs_complete"].met is False
 
 
-def test_triples_are_scored_by_the_first_and_by_two_named_effects() -> None:
-    """Of four diagnoses, three name a true effect first, and two name two true effects."""
+def test_triples_are_scored_by_the_first_and_by_all_named_effects() -> None:
+    """Of four diagnoses, three name a true effect first, and one names all three."""
     three = {
         "effects": ("plate_tilt", "growth", "plate_friction"),
         "families": ("plate geometry", "growth", "boundary"),
     }
     one = record("triple", **three)
-    two = record("triple", **three, primary=("growth", "plate_tilt"))
+    whole = record("triple", **three, primary=("growth", "plate_tilt", "plate_friction"))
     more = record("triple", **three, primary=("inclusion", "growth", "plate_friction"))
     other = record("triple", **three, primary=("plate_friction", "inclusion"))
-    found = scored(one, two, more, other)
+    found = scored(one, whole, more, other)
     assert value(found, "triples_first") == (0.75, 4)
-    assert value(found, "triples_two") == (0.5, 4)
-    assert found["triples_two"].met
-    assert value(found, "strict") == (0.5, 4)
-    assert value(found, "pairs_both") == (None, 0)
-    assert [r.right for r in (one, two, more, other)] == [True, True, False, True]
+    assert value(found, "triples_complete") == (0.25, 4)
+    assert value(found, "pairs_complete") == (None, 0)
+    assert [r.right for r in (one, whole, more, other)] == [True, True, False, True]
     controls = [nothing(true_before_mm=0.10)]
     faint = record("triple", **three, true_before_mm=0.12)
-    assert value(scored(*controls, faint, two), "triples_two") == (1.0, 1)
+    assert value(scored(*controls, faint, whole), "triples_complete") == (1.0, 1)
     rows = confusion([one, *controls]).rows
     assert rows == ("control", "plate_tilt + growth + plate_friction")
 
@@ -305,7 +300,7 @@ def test_baselines_always_name_an_effect() -> None:
     assert value(found, "baseline_chance") == (0.5, 2)
 
 
-def test_baselines_with_a_threshold_have_as_few_false_alarms_as_the_diagnosis() -> None:
+def test_baselines_with_a_threshold_have_as_many_false_alarms_as_the_diagnosis() -> None:
     def body(group: str, loud: float, **more: object) -> CaseRecord:
         named = {"refit": "plate_tilt"}
         return record(group, named_by=named, loudness={"refit": loud}, **more)
@@ -330,73 +325,9 @@ def test_a_failed_diagnosis_is_a_wrong_answer() -> None:
     failed = CaseRecord("x", "tilt", "single", ("plate_tilt",), ("plate geometry",), "failed")
     found = scored(record(), failed)
     assert value(found, "first_visible") == (0.5, 2)
-    assert value(found, "covered") == (0.5, 2)
     silent = CaseRecord("y", "control", "control", (), (), "failed")
     assert value(scored(silent), "false_alarms") == (1.0, 1)
     assert not silent.right
-
-
-# Probabilities
-
-
-def given(no_gap: float, none: float, tilt: float, friction: float) -> dict[str, float]:
-    return {"no-gap": no_gap, "none-of-these": none, "plate_tilt": tilt, "plate_friction": friction}
-
-
-def test_brier_score_matches_hand_calculation() -> None:
-    sure = record(probabilities=given(0, 0, 1, 0))
-    half = record(probabilities=given(0.5, 0, 0.5, 0))
-    assert brier([sure]).value == 0
-    assert brier([half]).value == 0.5
-    assert brier([sure, half, record("relative", effects=())]).value == pytest.approx(0.5 / 3)
-    # Half of the cases are controls: 0.25 each for "no gap" and for the tilt.
-    assert brier_of_base_rates([sure, nothing()]).value == 0.5
-
-
-def test_log_score_matches_hand_calculation() -> None:
-    half = record(probabilities=given(0.5, 0, 0.5, 0))
-    assert log_score([half]).value == pytest.approx(2 * math.log(2))
-    wrong = record(probabilities=given(1, 0, 0, 0))  # each bounded at one in 10,000
-    assert log_score([wrong]).value == pytest.approx(2 * math.log(1e4))
-
-
-def test_expected_calibration_error_matches_hand_calculation() -> None:
-    """Three statements of 80 %, one of which is true, and one of 0 that is false."""
-    cases = [
-        record(probabilities={"plate_tilt": 0.8, "no-gap": 0.0}),
-        record(probabilities={"plate_friction": 0.8}),
-        record(probabilities={"no-gap": 0.8}),
-    ]
-    expected = 3 / 4 * abs(0.8 - 1 / 3)
-    assert calibration_error(cases).value == pytest.approx(expected)
-    assert calibration_error([]).value is None
-
-
-def test_statements_about_relatives_refer_to_families() -> None:
-    bent = record(
-        "relative",
-        effects=(),
-        families=("plate geometry",),
-        probabilities=given(0.02, 0.03, 0.95, 0),
-        family_probabilities={"plate geometry": 0.95, "boundary": 0.0},
-    )
-    made = [(0.95, True), (0.0, False), (0.02, False)]
-    assert statements(bent) == made
-    assert sure_statements([bent]).value == 1.0
-
-
-def test_calibration_curve_groups_statements_by_probability() -> None:
-    cases = [
-        record(probabilities={"plate_tilt": 0.75}),
-        record(probabilities={"no-gap": 0.71}),
-        record(probabilities={"plate_tilt": 1.0, "no-gap": 0.0}),
-    ]
-    bins = calibration_curve(cases)
-    assert [b.came_true.count for b in bins] == [1, 0, 0, 0, 0, 0, 0, 2, 0, 1]
-    assert bins[7].said == pytest.approx(0.73)
-    assert bins[7].came_true.value == 0.5
-    assert bins[9].came_true.value == 1.0
-    assert (bins[3].said, bins[3].came_true.value) == (None, None)
 
 
 def test_confusion_counts_every_case_once() -> None:
@@ -408,6 +339,13 @@ def test_confusion_counts_every_case_once() -> None:
     assert found.columns == ("no-gap", "plate_tilt", "plate_friction", "none-of-these")
     assert found.counts == ((1, 0, 0, 1), (1, 1, 1, 0), (0, 0, 0, 1))
     assert found.right == {(0, 0), (1, 1), (2, 3)}
+
+
+def test_a_cell_of_the_confusion_is_right_only_if_all_its_cases_are() -> None:
+    named: dict[str, Any] = {"kind": "swelling", "answer": "effect", "primary": ("plate_tilt",)}
+    also = nothing("unlike", **named, something_else=True)
+    assert confusion([also]).right == {(0, 1)}
+    assert confusion([also, nothing("unlike", **named)]).right == set()
 
 
 # Baselines

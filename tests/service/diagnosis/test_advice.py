@@ -26,9 +26,7 @@ from tests.service.report.diagnosis_at_hand import summary, typed
 NODES = "600"
 TOLD = typed(
     summary(
-        verdict="cannot-be-told-apart",
-        set90=["plate_tilt", "fibre_fan", "no-gap"],
-        absorbed=["plate_force"],
+        verdict="cannot-be-told-apart", rivals=["plate_tilt", "fibre_fan"], absorbed=["plate_force"]
     )
 )
 

@@ -16,21 +16,30 @@ def gap(middle: float, low: float, high: float) -> Json:
     return {"gap_mm": middle, "low_mm": low, "high_mm": high, "noise_mm": 0.44, "points": 8}
 
 
-def effect(name: str, family: str, probability: float, absorbed: float, *parameters: Json) -> Json:
+def effect(
+    name: str,
+    family: str,
+    gain: float | None,
+    absorbed: float,
+    *parameters: Json,
+    seen_from: float | None = None,
+) -> Json:
     lead = parameters[0]
+    seen = {} if seen_from is None else {"seen_from": seen_from}
     return {
         "name": name,
         "family": family,
         "summary": f"What {name} <is>.",
-        "probability": probability,
+        "gain": gain,
         "magnitude": lead["magnitude"],
         "sd": lead["sd"],
         "unit": lead["unit"],
         "parameters": list(parameters),
         "log_bayes_factor": 12.34,
         "absorbed_share": absorbed,
-        "refitted": probability > 0,
-    }
+        "refitted": gain is not None,
+        "seen_unit": "" if seen_from is None else lead["unit"],
+    } | seen
 
 
 def parameter(name: str, magnitude: float, sd: float, unit: str) -> Json:
@@ -38,17 +47,23 @@ def parameter(name: str, magnitude: float, sd: float, unit: str) -> Json:
 
 
 EFFECTS = [
-    effect("plate_force", "loading", 0.0, 0.993, parameter("ln_force", 0.1, 0.14, "")),
+    effect("plate_force", "loading", None, 0.993, parameter("ln_force", 0.1, 0.14, "")),
     effect(
-        "plate_flex", "plate geometry", 0.004, 0.05, parameter("flex_depth_mm", 8.0, 1.04, "mm")
+        "plate_flex",
+        "plate geometry",
+        95.0,
+        0.05,
+        parameter("flex_depth_mm", 8.0, 1.04, "mm"),
+        seen_from=2.04,
     ),
     effect(
         "plate_tilt",
         "plate geometry",
-        0.9956,
+        127.24,
         0.01,
         parameter("tilt_depth_deg", 5.4838, 0.2712, "deg"),
         parameter("tilt_across_deg", -0.036, 0.12, "deg"),
+        seen_from=1.27,
     ),
 ]
 
@@ -84,14 +99,11 @@ def summary(**changes: Any) -> Json:
         "verdict": "effect",
         "primary": ["plate_tilt"],
         "effects": EFFECTS,
-        "set90": ["plate_tilt"],
-        "families": {"loading": 0.001, "plate geometry": 0.9996},
+        "rivals": [],
         "absorbed": ["plate_force"],
-        "no_gap_probability": 0.0001,
-        "none_of_these_probability": 0.0003,
-        "alarm": 127.24,
-        "threshold": 2.846,
-        "explained_share": 0.87,
+        "gain": 127.24,
+        "left_gain": -0.99,
+        "something_else": False,
         "gap_mm": {
             "before": gap(0.2684, 0.2256, 0.3053),
             "after": gap(0.05, 0.0, 0.1206),
@@ -126,7 +138,7 @@ def summary(**changes: Any) -> Json:
             {
                 "effects": ["plate_flex"],
                 "log_evidence_gain": 95.0,
-                "field_gain": 1.69,
+                "field_gain": None,
                 "converged": True,
                 "values": {},
             },
@@ -165,11 +177,11 @@ def nothing(kind: str, **changes: Any) -> Json:
     told = {
         "verdict": kind,
         "primary": [],
-        "set90": [kind],
+        "effects": [one | {"gain": None, "refitted": False} for one in EFFECTS],
+        "gain": 0.0,
         "gap_mm": alone,
         "refits": [],
         "constants": constants,
-        "explained_share": None,
     }
     return summary(**told | changes)
 
@@ -196,9 +208,14 @@ def found(told: Json | None = None) -> FinishedDiagnosis:
 VERDICTS = {
     "effect": summary(),
     "no gap": nothing("no-gap"),
-    "none of these": nothing("none-of-these"),
+    "none of these": nothing("none-of-these", left_gain=41.23, something_else=True),
     "not told apart": summary(
-        verdict="cannot-be-told-apart", set90=["plate_tilt", "plate_flex", "no-gap"]
+        verdict="cannot-be-told-apart",
+        rivals=["plate_tilt", "plate_flex"],
+        effects=[
+            *(one for one in EFFECTS if one["name"] != "plate_flex"),
+            *(one | {"gain": 124.0} for one in EFFECTS if one["name"] == "plate_flex"),
+        ],
     ),
     "one scan": summary(
         gap_mm={

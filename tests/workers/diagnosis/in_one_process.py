@@ -3,14 +3,7 @@
 from collections.abc import Sequence
 
 from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis
-from palpate.workers.diagnosis.verdict.diagnosis_course import (
-    Diagnosis,
-    SecondReading,
-    advance,
-    base_of,
-    diagnose,
-    read_again,
-)
+from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis, advance, base_of, diagnose
 from palpate.workers.diagnosis.verdict.joint_fit import JointFit, fit_jointly
 from palpate.workers.kernels_and_threads import Each
 from palpate.workers.mechanics.effects.effect import Effect
@@ -24,10 +17,6 @@ def diagnose_here(
     reached = advance(course)
     known: dict[tuple[str, ...], JointFit] = {}
     while not isinstance(reached, Diagnosis):
-        if isinstance(reached, SecondReading):
-            analysis = read_again(analysis, reached.singles, reached.best, each)
-            reached, known = advance(course, analysis), {}
-            continue
         found = [fit_jointly(analysis, one, each, known.get(base_of(one))) for one in reached]
         known |= {one.names: one for one in found if one is not None}
         reached = advance(course, found)

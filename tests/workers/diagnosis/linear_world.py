@@ -5,22 +5,19 @@ displacement field, polynomial in the position and observed along the normals; i
 load of the state as a power that differs between modes.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
-from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis, screen
+from palpate.workers.diagnosis.laplace_evidence import log_evidence
 from palpate.workers.diagnosis.linearisation import EffectSensitivity, Linearised, factored
-from palpate.workers.diagnosis.noise.averaged_evidence import LinearHypothesis, NoiseModel
-from palpate.workers.diagnosis.noise.noise_components import (
-    NoiseParts,
-    NoiseState,
-    smooth_columns,
-    smooth_covariance,
-)
-from palpate.workers.diagnosis.verdict.hypotheses import JointEvidence
+from palpate.workers.diagnosis.noise.noise_components import smooth_covariance
+from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis, advance, diagnose
+from palpate.workers.diagnosis.verdict.joint_fit import JointFit
 
 HALF_AXES_MM = np.array([60.0, 40.0, 30.0])
 LOADS = np.array([0.6, 1.0])
@@ -99,54 +96,73 @@ def catalogue(k=60):
     )
 
 
-def families(sensitivities):
-    return {f.name: f.family for f in sensitivities}
-
-
 FIELD = SETTINGS.smooth_field
 
 
-def known_noise(covariance):
-    """Return the parts and the single state of known noise."""
-    m = len(covariance)
-    nothing = np.zeros((m, 0))
-    parts = NoiseParts((covariance,), (1.0,), np.zeros(m, np.int32), nothing, nothing)
-    return parts, [NoiseState(0, np.ones(1), 1.0, 0.0)]
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """A fit of the constants and of some effects: the same linear model everywhere.
+
+    It has what a diagnosis uses of a `Fit`.
+    """
+
+    linear: Linearised
+    one_sided: np.ndarray
+    predictions: tuple = ()
+
+    @property
+    def at_bound(self):
+        return np.zeros(len(self.one_sided), np.int32)
+
+    def linearised(self, inverse):
+        return self.linear
+
+    def log_evidence(self, inverse, columns=None):
+        q = 0 if columns is None else columns.shape[1]
+        linear = self.linear if columns is None else self.linear.freed(columns, np.ones(q))
+        return log_evidence(linear, np.append(self.one_sided, np.zeros(q, bool)))
 
 
-@cache
-def known_noise_model(k=60, tolerance=1e-7, lengths=FIELD.lengths_mm, amplitudes=None):
-    """Return the known noise of `nominal_problem`, with a smooth field."""
+def linear_analysis(problem, sensitivities, amplitudes_mm=FIELD.amplitudes_mm):
+    """Return the nominal analysis of a problem with known noise, whose residual may be any."""
+    k = problem.size // 2
     points, normals, states = layout(k)
-    fields = [
-        smooth_columns(points, normals, states, np.ones(2 * k), length, 0.8, tolerance)
-        for length in lengths
-    ]
-    parts, known = known_noise(nominal_problem(k).covariance)
-    return NoiseModel(parts, known, fields, amplitudes or FIELD.amplitudes_mm)
-
-
-def hypothesis_of(problem, one_sided=None):
-    """Return the same problem for a `NoiseModel`."""
-    p = len(problem.nominal_sd)
-    sided = np.zeros(p, bool) if one_sided is None else one_sided
-    columns = problem.nominal * problem.nominal_sd
-    return LinearHypothesis(
-        problem.residual, columns, problem.scaled_offset, sided, np.zeros(p, bool)
+    seen = tuple(SimpleNamespace(normals=normals[states == s]) for s in (0, 1))
+    nominal = LinearFit(problem, np.zeros(len(problem.nominal_sd), bool), seen)
+    inverse = SimpleNamespace(
+        points=SimpleNamespace(points=points[:k]),
+        scans=[None, None],
+        rows=states,
+        directions=np.tile([0.0, 0.0, 1.0], (2, 1)),
+        something_else=replace(FIELD, amplitudes_mm=amplitudes_mm),
     )
+    return NominalAnalysis(inverse, nominal, sensitivities)
 
 
-def joint_evidence(problem, sensitivities):
-    noise = known_noise_model(problem.size // 2)
-    return JointEvidence(hypothesis_of(problem), sensitivities, noise)
+def linear_fit(problem, sensitivities):
+    """Return the fit of the constants with some effects, each at its best place."""
+    linear, sided = problem, np.zeros(len(problem.nominal_sd), bool)
+    for one in sensitivities:
+        columns = one.places[screen(linear, [one])[0].place]
+        linear = linear.freed(columns, one.prior_sd)
+        sided = np.append(sided, one.one_sided)
+    return LinearFit(linear, sided)
 
 
-def hypotheses_of(joint, partners=5):
-    """Return no effect, each effect, and the pairs of the `partners` best effects."""
-    singles = [joint.hypothesis((name,)) for name in joint.names]
-    best = sorted(singles, key=lambda h: h.best, reverse=True)[:partners]
-    pairs = [joint.hypothesis(pair) for pair in combinations([h.effects[0] for h in best], 2)]
-    return (joint.hypothesis(()), *singles, *pairs)
+def linear_diagnosis(problem, sensitivities):
+    """Return the diagnosis of a problem, with every requested fit computed."""
+    by_name = {one.name: one for one in sensitivities}
+    known = [SimpleNamespace(name=name, place=None) for name in by_name]
+    analysis = linear_analysis(problem, sensitivities)
+    course = diagnose(analysis, known)
+    reached = advance(course)
+    while not isinstance(reached, Diagnosis):
+        fits = []
+        for effects in reached:
+            fitted = linear_fit(problem, [by_name[e.name] for e in effects])
+            fits.append(JointFit(effects, fitted, fitted.log_evidence(None)))
+        reached = advance(course, fits)
+    return reached
 
 
 def observed(problem, rng, signal=0.0):
@@ -163,11 +179,12 @@ def signal_of(sensitivity, rng):
     return -sensitivity.places[rng.integers(len(sensitivity.places))] @ phi
 
 
-def field_draw(k, rng):
-    """Return a smooth field drawn from its prior, along the normals."""
+def field_draw(k, rng, amplitude_mm=None):
+    """Return a smooth field drawn from its prior, or of a given size, along the normals."""
     covariance = smooth_covariance(*layout(k), rng.choice(FIELD.lengths_mm), 0.8)
     factor = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
-    return rng.choice(FIELD.amplitudes_mm) * (factor @ rng.standard_normal(len(factor)))
+    size_mm = amplitude_mm or rng.choice(FIELD.amplitudes_mm)
+    return size_mm * (factor @ rng.standard_normal(len(factor)))
 
 
 def dense_log_density(problem, columns=None, sd=(), extra=0.0):

@@ -76,7 +76,7 @@ def test_every_imported_file_counts(copied: Path) -> None:
 def test_files_that_are_not_imported_do_not_count(copied: Path) -> None:
     apart = [
         "palpate/workers/diagnosis/outcome/body_pictures.py",
-        "palpate/workers/diagnosis/verdict/verdict.py",
+        "palpate/workers/diagnosis/verdict/cause_selection.py",
         "palpate/workers/blind/random_case.py",
         "palpate/workers/organs/specimen/specimen_problem.py",
         "palpate/workers/tasks/diagnosis_tasks.py",

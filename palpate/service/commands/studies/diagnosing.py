@@ -32,23 +32,25 @@ from palpate.service.diagnosis.diagnosis_run import (
     with_caveats,
 )
 from palpate.service.diagnosis.diagnosis_words import (
-    ADD_UP,
     WHY_NOT_FOUND,
     acquisition_worth,
     confused_effects,
     drift_advice,
+    fitted_causes,
     is_undecided,
-    likely,
     magnitude,
     measurement_gain,
     nearest_effect,
     next_acquisitions,
     plan_headline,
     planned_amounts,
+    power,
     sentence,
     silent_effects,
     spoken,
+    strength,
 )
+from palpate.service.diagnosis.reliability import reliability
 from palpate.service.report.diagnosis.diagnosis_page import write_diagnosis
 from palpate.service.report.diagnosis.plan_page import render_plan
 from palpate.service.report.study.page_provenance import origin_of
@@ -145,7 +147,7 @@ def print_plan(summary: PlanSummary, console: Console) -> None:
         console.print(f"The model does not converge for {names}.", soft_wrap=True)
 
 
-# Effects in the table: the most probable ones.
+# Effects in the table: the named ones, then those with the largest gain.
 SHOWN = 6
 
 
@@ -234,20 +236,20 @@ def _with_plan(
 
 
 def print_verdict(summary: Summary, console: Console) -> None:
-    """Print the verdict and the most probable causes."""
+    """Print the verdict and the causes that were fitted, the best first."""
     for text in summary.caveats or ():
         console.print(text, soft_wrap=True)
     console.print(sentence(summary), soft_wrap=True)
     rows = [
-        (spoken("no-gap"), likely(summary.no_gap_probability), "", ""),
-        (spoken("none-of-these"), likely(summary.none_of_these_probability), "", ""),
+        (spoken(e.name), strength(gain), magnitude(e), f"{100 * e.absorbed_share:.0f} %")
+        for e, gain in fitted_causes(summary)[:SHOWN]
     ]
-    ranked = sorted(summary.effects, key=lambda e: -e.probability)
-    for e in [e for e in ranked if e.name not in summary.absorbed][:SHOWN]:
-        share = f"{100 * e.absorbed_share:.0f} %"
-        rows.append((spoken(e.name), likely(e.probability), magnitude(e), share))
-    print_table(console, ("cause", "probability", "magnitude", "absorbed"), rows, right=(1, 3))
-    console.print(ADD_UP, soft_wrap=True)
+    if rows:
+        print_table(console, ("cause", "evidence", "magnitude", "absorbed"), rows, right=(3,))
+    if summary.primary and summary.noise is not None and (counts := reliability(summary.gain)):
+        console.print(counts, soft_wrap=True)
+    if summary.verdict == "no-gap" and (ruled_out := power(summary)):
+        console.print(ruled_out, soft_wrap=True)
     if summary.absorbed:
         names = ", ".join(spoken(name) for name in summary.absorbed)
         console.print(

@@ -11,8 +11,15 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from palpate.service.blind.blind_metrics import Metric
-from palpate.service.blind.blind_page import interval, limit, render, shown, with_metrics
+from palpate.service.blind.answer_statistics import reliability
+from palpate.service.blind.blind_page import (
+    RELIABILITY,
+    comparison,
+    metric_cells,
+    reliability_cells,
+    render,
+    with_metrics,
+)
 from palpate.service.blind.sealed_set import BlindSet, Truths, read_manifest
 from palpate.service.blind.set_answering import Answering, answer, unanswered
 from palpate.service.blind.set_answering import seal as seal_answers
@@ -294,15 +301,13 @@ def _put_into(text: Path, scored: ScoredSet) -> None:
 
 
 def _print(scored: ScoredSet, console: Console) -> None:
-    """Print all metrics on a console, those with a target first."""
-    rows = [_cells(metric) for metric in scored.targets_first]
+    """Print all metrics on a console, those with a target first, and the reliability."""
+    rows = [metric_cells(metric) for metric in scored.targets_first]
     print_table(console, ("figure", "value", "95 %", "cases", "target", ""), rows, right=(1, 3))
     if scored.floor_mm is not None:
         console.print(f"Floor: {scored.floor_mm:.3f} mm of true gap in the median control.")
-
-
-def _cells(metric: Metric) -> tuple[str, ...]:
-    met = {None: "", True: "met", False: "not met"}[metric.met]
-    estimate = metric.estimate
-    value = shown(estimate.value, metric.unit)
-    return metric.title, value, interval(metric), str(estimate.count), limit(metric), met
+    console.print()
+    print_table(console, RELIABILITY, [*map(reliability_cells, reliability(scored.records))])
+    console.print("Effects that cannot be told apart are counted if one of them acts.")
+    if told := comparison(scored.metrics):
+        console.print(told, markup=False, highlight=False, soft_wrap=True)

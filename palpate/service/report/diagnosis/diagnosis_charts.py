@@ -1,9 +1,9 @@
-"""Charts of a diagnosis: gap, evidence and probabilities of causes."""
+"""Charts of a diagnosis: gap and evidence."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from palpate.service.diagnosis.diagnosis_words import length, likely
+from palpate.service.diagnosis.diagnosis_words import length
 from palpate.service.number_formatting import MINUS
 from palpate.service.report.drawing.svg import Mark, Scale, Svg, horizontal_axis, legend, text_width
 from palpate.workers.diagnosis.outcome.diagnosis_summary import GapEstimate, Summary
@@ -41,19 +41,10 @@ class Evidence:
     field: float | None
 
 
-@dataclass(frozen=True)
-class Cause:
-    """A cause, its probability, and whether it is in the 90 % set."""
-
-    title: str
-    probability: float
-    credible: bool
-
-
 def gap_rows(summary: Summary) -> list[Judged]:
     """Return the gap of all scans, and of each scan held out of the fit."""
     gap, loaded = summary.gap_mm, "scans" if summary.markers is None else "states"
-    rows = [Judged(f"all {loaded}, whatever the cause", gap.before, gap.after)]
+    rows = [Judged(f"all {loaded}", gap.before, gap.after)]
     for name, held in (gap.held_out_each or {}).items():
         rows.append(Judged(f"{name}, held out of the fit", held.before, held.after))
     return rows
@@ -90,12 +81,11 @@ def gaps(rows: Sequence[Judged], noise_mm: float, effect: str, width: float) -> 
 
 
 def evidence(rows: Sequence[Evidence], threshold: float, width: float) -> Svg:
-    """Return bars of the log evidence of each refit, and of an additional smooth field."""
-    marks: list[tuple[Mark, str, str]] = [
-        ("box", "bar-after", "effect"),
-        ("box", "bar-field", "additional smooth misfit"),
-        ("dashed", "limit", "alarm"),
-    ]
+    """Return bars of the gain of each fit, and of a smooth field beside it."""
+    marks: list[tuple[Mark, str, str]] = [("box", "bar-after", "effect")]
+    if any((row.field or 0.0) > 0 for row in rows):
+        marks.append(("box", "bar-field", "left for something else"))
+    marks.append(("dashed", "limit", "named from here on"))
     ends = [row.gain + max(0.0, row.field or 0.0) for row in rows]
     least = min(0.0, *(row.gain for row in rows))
     bars = _Bars([r.title for r in rows], marks, width, (least, max(threshold, *ends, 0.1)), 28.0)
@@ -107,21 +97,7 @@ def evidence(rows: Sequence[Evidence], threshold: float, width: float) -> Svg:
         text = f"{row.gain:.1f}" + (f" + {more:.1f}" if more else "")
         bars.beside(y, max(row.gain, 0.0) + more, text.replace("-", MINUS))
     bars.limit(threshold)
-    return bars.finished("log evidence gained over the nominal model, nats")
-
-
-def probabilities(causes: Sequence[Cause], width: float) -> Svg:
-    """Return bars of the probable causes, with the 90 % set in colour."""
-    marks: list[tuple[Mark, str, str]] = [
-        ("box", "bar-after", "holds 90 % of the probability"),
-        ("box", "bar-before", "others"),
-    ]
-    bars = _Bars([c.title for c in causes], marks, width, (0.0, 100.0), 28.0)
-    for number, cause in enumerate(causes):
-        y = bars.middle(number)
-        bars.bar(y, 0.0, 100 * cause.probability, "bar-after" if cause.credible else "bar-before")
-        bars.beside(y, 100 * cause.probability, likely(cause.probability))
-    return bars.finished("probability, %")
+    return bars.finished("gain over the nominal model, nats")
 
 
 class _Bars:
@@ -139,7 +115,7 @@ class _Bars:
         left = 6.0 if self.narrow else 24 + max(text_width(title, 13) for title in titles)
         self.svg = Svg(width, 0)
         self.above = 20.0 if self.narrow else 0.0
-        self.row_px = row_px + self.above
+        self.row_px, self.rows = row_px + self.above, len(titles)
         self.top = 14 + legend(self.svg, marks, left, 12, width)
         self.scale = Scale(*limits, left, width - BESIDE_PX)
         self.bottom = self.top + self.row_px * len(titles)
@@ -171,8 +147,14 @@ class _Bars:
         self.svg.text(self.scale.at(value) + 8, y + 4, text, class_="tick")
 
     def limit(self, value: float) -> None:
-        x = self.scale.at(value)
-        self.svg.add("path", class_="limit", d=f"M{x:.1f} {self.top - 4:.1f}V{self.bottom:.1f}")
+        """Draw a line across all rows; on narrow pages beside the bars, not across the titles."""
+        x, reach = self.scale.at(value), (self.row_px - self.above) / 2
+        ends = [(self.top - 4, self.bottom)]
+        if self.narrow:
+            middles = map(self.middle, range(self.rows))
+            ends = [(middle - reach, middle + reach) for middle in middles]
+        line = "".join(f"M{x:.1f} {start:.1f}V{end:.1f}" for start, end in ends)
+        self.svg.add("path", class_="limit", d=line)
 
     def finished(self, label: str) -> Svg:
         middle = (self.scale.start + self.scale.end) / 2

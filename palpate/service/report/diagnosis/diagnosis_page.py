@@ -1,38 +1,28 @@
 """The page of a diagnosis, in one self-contained file, and its record for programs."""
 
 import json
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
 from palpate.service.diagnosis.diagnosed_constants import summary_json
 from palpate.service.diagnosis.diagnosis_run import FinishedDiagnosis
 from palpate.service.diagnosis.diagnosis_words import (
-    ADD_UP,
-    NOT_EFFECTS,
     acquisition_worth,
     headline,
     is_undecided,
     length,
-    likely,
     millimetres,
     noise,
-    spoken,
+    power,
     together,
 )
+from palpate.service.diagnosis.reliability import reliability
 from palpate.service.installed_packages import palpate_version, versions
-from palpate.service.number_formatting import listed
+from palpate.service.number_formatting import listed, number
 from palpate.service.report.diagnosis import diagnosis_tables as experiment
 from palpate.service.report.diagnosis import diagnosis_tables as tables
 from palpate.service.report.diagnosis import gap_pictures as where
-from palpate.service.report.diagnosis.diagnosis_charts import (
-    Cause,
-    Evidence,
-    evidence,
-    gap_rows,
-    gaps,
-    probabilities,
-)
+from palpate.service.report.diagnosis.diagnosis_charts import Evidence, evidence, gap_rows, gaps
 from palpate.service.report.diagnosis.diagnosis_consequence import next_step, quotable
 from palpate.service.report.diagnosis.diagnosis_viewers import body_data, slice_data
 from palpate.service.report.diagnosis.gap_pictures import overlay_legend
@@ -51,11 +41,6 @@ from palpate.storage.json_digests import to_plain
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
 from palpate.workers.organs.organ_plugins import DEFAULT, catalogue_of
-
-# Number of causes in the chart in addition to the 90 % set.
-CAUSES = 8
-# A family is mentioned if it is more probable than this.
-LIKELY = 0.5
 
 
 def render_diagnosis(diagnosis: FinishedDiagnosis, origin: Origin | None = None) -> str:
@@ -106,7 +91,7 @@ def diagnosis_context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str,
     return {
         "name": summary.case,
         "caveats": summary.caveats or (),
-        "verdict": headline(summary),
+        "verdict": headline(summary).replace(" mm", "\u00a0mm"),
         "lead": _lead(summary),
         "loaded": _loaded(summary),
         "quote": quotable(summary),
@@ -121,11 +106,9 @@ def diagnosis_context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str,
         "gap_picture": _gap_picture(summary, named),
         "evidence_picture": _evidence_picture(summary),
         "about_evidence": _about_evidence(summary),
-        "cause_picture": _cause_picture(summary),
-        "about_causes": _about_causes(summary),
         "constants": tables.constant_table(summary),
-        "effects": tables.effect_table(summary.effects, summary.absorbed),
-        "add_up": ADD_UP,
+        "effects": tables.effect_table(summary),
+        "power": power(summary) if summary.verdict == "no-gap" else "",
         "advice": _advice(summary),
         "further": [(o.name, acquisition_worth(o)) for o in summary.next_acquisitions or ()],
         "markers": experiment.marker_table(summary),
@@ -173,13 +156,13 @@ def _lead(summary: Summary) -> str:
         return (
             f"Model and measurement were compared at {points} points in every loaded "
             "state, after the constants had been fitted. The measurement error of one component is "
-            f"{noise} mm; a gap is a difference beyond that. Intervals are 90 % intervals."
+            f"{noise} mm; a gap is a difference beyond that. Intervals are 90\u00a0% intervals."
         )
     return (
         f"Model and scans were compared at {summary.points} points on {summary.compared}, "
         f"in every loaded scan, after the constants had been fitted. {_left_out(summary)}The "
         f"segmentation error of a point is {noise} mm; a gap is a difference beyond that. "
-        "Intervals are 90 % intervals."
+        "Intervals are 90\u00a0% intervals."
     )
 
 
@@ -214,9 +197,6 @@ def _tiles(summary: Summary) -> list[tuple[str, str, str]]:
         change = " → ".join(length(estimate.gap_mm, estimate.high_mm) for estimate in held)
         tiles.append(("On unseen scans", change, "mm"))
     tiles.append(("Noise of a point", length(gap.noise_floor), "mm"))
-    tiles.append(
-        ("Evidence for a gap", f"{summary.alarm:.1f}", f"nats, alarm at {summary.threshold:.1f}")
-    )
     return tiles
 
 
@@ -272,63 +252,34 @@ def _evidence_picture(summary: Summary) -> Picture | None:
         return None
     said = "; ".join(f"{r.title}: {r.gain:.1f}" for r in rows)
     return chart(
-        lambda w: evidence(rows, summary.threshold, w),
+        lambda w: evidence(rows, SETTINGS.selection.first, w),
         f"Log evidence gained. {said}.",
         rows=[("effect", "log_evidence_gain"), *((r.title, r.gain) for r in rows)],
     )
 
 
 def _about_evidence(summary: Summary) -> str:
-    alone = "Each refit fits the constants and the effect together with new simulations."
-    if summary.noise is not None:
-        times = 1.0 / math.sqrt(SETTINGS.noise.coarsening)
-        noise_mm = times * summary.gap_mm.noise_floor
-        alone += (
-            f" No model is exact, so log evidence is multiplied by {SETTINGS.noise.coarsening:g}, "
-            "and intervals are computed as if the noise were "
-            f"{times:.1f} times as large ({length(noise_mm)} mm at a point)."
-        )
-    share = summary.explained_share
-    if share is None or not summary.primary:
-        return alone
-    return (
-        f"{alone} The best effect accounts for {100 * share:.0f} % of the gain from the effect and "
-        "an additional smooth misfit."
+    """Return how causes are named, and what the fits left."""
+    settings = SETTINGS.selection
+    said = (
+        "Each promising effect was fitted together with the constants, in new simulations. The "
+        "bars show its gain: how much better the data are then predicted (log evidence, in nats), "
+        "less a price for each parameter. An effect is named as the cause if it gains more than "
+        f"{settings.first:g} nats over the nominal model, a further one if it adds more than "
+        f"{settings.further:g}. Effects within {settings.tie:g} nats of the best cannot be told "
+        "apart."
     )
-
-
-def _cause_picture(summary: Summary) -> Picture:
-    credible = set(summary.set90)
-    chance = {
-        "no-gap": summary.no_gap_probability,
-        "none-of-these": summary.none_of_these_probability,
-    } | {e.name: e.probability for e in summary.effects if e.name not in summary.absorbed}
-    ranked = sorted(chance, key=lambda name: (-chance[name], name))
-    shown = [n for n in ranked if n in credible] + [n for n in ranked if n not in credible]
-    rows = [Cause(spoken(n), chance[n], n in credible) for n in shown[: max(CAUSES, len(credible))]]
-    said = "; ".join(f"{row.title} {likely(row.probability)}" for row in rows)
-    return chart(
-        lambda w: probabilities(rows, w),
-        f"Probabilities. {said}.",
-        rows=[("cause", "probability"), *((row.title, row.probability) for row in rows)],
-    )
-
-
-def _about_causes(summary: Summary) -> str:
-    named = [name for name in summary.set90 if name not in NOT_EFFECTS]
-    if len(summary.primary) > 1 and summary.verdict == "effect":
-        held = f"{together(summary.primary)} together explain more than any single effect"
-    elif len(summary.set90) == 1:
-        held = f"{spoken(summary.set90[0])} alone accounts for 90 % of the probability"
-    else:
-        held = f"{together(summary.set90)} account for 90 % of the probability"
-    sentences = [f"{held[0].upper()}{held[1:]}."]
-    if len(named) > 1 and max(summary.families.values()) > LIKELY:
-        families = sorted(summary.families.items(), key=lambda item: -item[1])
-        sentences.append(
-            f"The most probable family is {families[0][0]} ({likely(families[0][1])})."
+    if not summary.refits:
+        said = "According to the linear model, no effect would gain enough to be fitted."
+    if summary.primary and summary.noise is not None:
+        said += f" {reliability(summary.gain)}".rstrip()
+    if summary.something_else:
+        beside = " beside the named effects" if summary.primary else ""
+        said += (
+            f" A smooth displacement that no effect explains would gain "
+            f"{number(summary.left_gain, 3)} nats{beside}: something else acts."
         )
-    return " ".join(sentences)
+    return said
 
 
 def write_diagnosis(

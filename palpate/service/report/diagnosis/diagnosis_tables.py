@@ -15,17 +15,18 @@ from markupsafe import Markup
 from palpate.service.diagnosis.diagnosed_constants import JudgedConstant, judged_constants, unit_of
 from palpate.service.diagnosis.diagnosis_words import (
     agreement,
-    bayes_factor,
     decimals,
     difference,
+    fitted_causes,
     least_length,
     length,
-    likely,
     magnitude,
     measured,
     millimetres,
+    seen_from,
     signed,
     spoken,
+    strength,
 )
 from palpate.service.number_formatting import NONE, number, percent, signed_error, symbol
 from palpate.service.results.physical_limits import Bounds
@@ -56,9 +57,10 @@ class EffectRow:
     name: str
     summary: str
     family: str
-    probability: str
+    evidence: str
     magnitudes: tuple[tuple[str, str], ...]
-    factor: str
+    gain: str
+    seen_from: str
     absorbed: str
     hidden: bool
     why: str
@@ -119,15 +121,15 @@ def _interval(ends: Bounds | None) -> str:
     return NONE if ends is None else f"{number(ends[0], 3)} … {number(ends[1], 3)}"
 
 
-def effect_table(found: Iterable[schema.EffectSummary], absorbed: Iterable[str]) -> list[EffectRow]:
-    """Return the effects by descending probability, absorbed ones last."""
-    hidden = set(absorbed)
-
-    def order(e: schema.EffectSummary) -> tuple[bool, float, float]:
-        return e.name in hidden, -round(e.probability, 2), -e.log_bayes_factor
-
-    ranked = sorted(found, key=order)
-    return [_effect_row(e, e.name in hidden) for e in ranked]
+def effect_table(summary: schema.Summary) -> list[EffectRow]:
+    """Return the fitted effects, the others as ranked by the screening, and absorbed ones last."""
+    hidden, fitted = set(summary.absorbed), fitted_causes(summary)
+    names = {effect.name for effect, _ in fitted}
+    others = [effect for effect in summary.effects if effect.name not in names]
+    others.sort(key=lambda effect: -effect.log_bayes_factor)
+    causes = [*fitted, *((effect, None) for effect in others)]
+    causes.sort(key=lambda cause: cause[0].name in hidden)
+    return [_effect_row(effect, gain, effect.name in hidden) for effect, gain in causes]
 
 
 def region_table(found: Iterable[schema.RegionGap]) -> list[RegionRow]:
@@ -178,7 +180,7 @@ def _fixed(value: float | None, digits: int) -> str:
     return signed(value, digits)
 
 
-def _effect_row(e: schema.EffectSummary, hidden: bool) -> EffectRow:
+def _effect_row(e: schema.EffectSummary, gain: float | None, hidden: bool) -> EffectRow:
     magnitudes = tuple((parameter_name(p.parameter, p.unit), magnitude(p)) for p in e.parameters)
     share = f"{100 * e.absorbed_share:.0f} %"
     why = f"the constants absorb {share} of it: the scans cannot reveal it"
@@ -186,9 +188,10 @@ def _effect_row(e: schema.EffectSummary, hidden: bool) -> EffectRow:
         spoken(e.name),
         e.summary,
         e.family,
-        NONE if hidden else likely(e.probability),
+        NONE if hidden else strength(gain),
         magnitudes,
-        bayes_factor(e.log_bayes_factor),
+        NONE if gain is None else signed(gain, 1),
+        NONE if hidden else seen_from(e),
         share,
         hidden,
         why if hidden else "",

@@ -96,8 +96,13 @@ DIAGNOSIS_TERMS = (
     ),
     ("Nominal model", "The model without any suspected effect, with fitted constants."),
     ("Effect", "A cause missing from the model, with a magnitude that can be fitted."),
-    ("Evidence, nats", "A gain of 3 makes a hypothesis 20 times as probable."),
-    ("Alarm", "The evidence for a gap that noise alone exceeds in 5 of 100 cases."),
+    (
+        "Gain, nats",
+        "How much better a model predicts the data than the nominal one (increase in log "
+        "evidence), less a price for each parameter that its fit adjusts.",
+    ),
+    ("Evidence", "The gain in a word: none up to 10 nats, weak to 20, clear to 50, then strong."),
+    ("Seen from", "The size from which these data would have shown an effect."),
     (
         "Absorbed by constants",
         "The part of an effect that other constants could mimic; if it is large, the effect is "

@@ -21,8 +21,8 @@ state before any effect is fitted. Quantities needed only by some tasks, such as
 are computed on first use.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -33,10 +33,8 @@ from palpate.storage.values import FloatArray
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.fits.effect_sensitivities import places_of
 from palpate.workers.diagnosis.fits.gauss_newton import Fit, SolvedFit
-from palpate.workers.diagnosis.fits.model_errors import FormError, RoughSurface, held_columns
-from palpate.workers.diagnosis.laplace_evidence import Quadratic, log_marginal, posterior
+from palpate.workers.diagnosis.laplace_evidence import Quadratic, log_marginal
 from palpate.workers.diagnosis.linearisation import EffectSensitivity, Linearised
-from palpate.workers.diagnosis.noise.averaged_evidence import LinearHypothesis, NoiseModel
 from palpate.workers.diagnosis.noise.noise_components import smooth_columns
 from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
 from palpate.workers.mechanics.effects.effect import Effect
@@ -87,10 +85,13 @@ def hides(problem: Linearised, whitened: FloatArray) -> bool:
     )
 
 
-def minimum_detectable(problem: Linearised, sensitivity: EffectSensitivity) -> FloatArray:
-    """Return the magnitude of each parameter alone detected with 80 % power at 1 % false alarms.
+def minimum_detectable(
+    problem: Linearised, sensitivity: EffectSensitivity, strength: float = NONCENTRALITY
+) -> FloatArray:
+    """Return the magnitude at which each parameter alone is as strong as a test needs.
 
-    ``sqrt(11.7 / B'PB)``, in the units of the parameters.
+    ``sqrt(strength / B'PB)``, in the units of the parameters; by default, the magnitude detected
+    with 80 % power at 1 % false alarms. Its gain in log evidence is half of `strength`.
 
     Returns
     -------
@@ -101,7 +102,7 @@ def minimum_detectable(problem: Linearised, sensitivity: EffectSensitivity) -> F
         [(B * problem.project(B)).sum(axis=0) for B in sensitivity.whitened(problem)]
     )
     with np.errstate(divide="ignore"):
-        scaled = np.sqrt(NONCENTRALITY / np.maximum(information, 0.0))
+        scaled = np.sqrt(strength / np.maximum(information, 0.0))
     return np.median(scaled, axis=0) * sensitivity.prior_sd
 
 
@@ -203,14 +204,17 @@ def screen(
 def _look_at(problem: Linearised, sensitivity: EffectSensitivity) -> ScreeningResult:
     whitened = sensitivity.whitened(problem)
     nowhere = np.zeros(len(sensitivity.prior_sd))
-    q = Quadratic.stacked([_efficient(problem, B) for B in whitened])
+    gradients = whitened.transpose(0, 2, 1) @ problem.efficient_residual
+    curvatures = np.stack([B.T @ problem.project(B) for B in whitened])
+    # The constant part of the misfit is common to both hypotheses and therefore omitted.
+    q = Quadratic(np.zeros(len(whitened)), gradients, curvatures)
     factors = log_marginal(q, nowhere, sensitivity.one_sided)
     best = int(factors.argmax())
-    means, covariances = posterior(q, nowhere)
-    mean, covariance = means[best], covariances[best]
+    covariance = np.linalg.inv(np.eye(len(nowhere)) + curvatures[best])
+    mean = -covariance @ gradients[best]
     return ScreeningResult(
         name=sensitivity.name,
-        score=float(-q.gradient[best] @ mean),
+        score=float(-gradients[best] @ mean),
         estimate=mean * sensitivity.prior_sd,
         estimate_sd=np.sqrt(np.diag(covariance)) * sensitivity.prior_sd,
         log_bayes_factor=float(logsumexp(factors) - np.log(len(factors))),
@@ -219,15 +223,6 @@ def _look_at(problem: Linearised, sensitivity: EffectSensitivity) -> ScreeningRe
         place=best,
         place_log_bayes_factors=factors,
     )
-
-
-def _efficient(problem: Linearised, B: FloatArray) -> Quadratic:
-    """Return the misfit as a function of the effect alone, integrating out nominal parameters.
-
-    The constant part is common to both hypotheses and therefore omitted.
-    """
-    gradient = B.T @ problem.efficient_residual
-    return Quadratic(np.zeros(()), gradient, B.T @ problem.project(B), np.zeros(()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,15 +237,11 @@ class NominalAnalysis:
         Fit of the constants alone.
     sensitivities : sequence of EffectSensitivity
         Sensitivities to the effects that act on at least one scan and could be simulated.
-    begun : mapping of str to mapping
-        Starting values by name of the effect: constants and parameters of single effects that were
-        fitted with an earlier estimate of the noise.
     """
 
     inverse: InverseProblem
     nominal: SolvedFit
     sensitivities: Sequence[EffectSensitivity]
-    begun: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @cached_property
     def linear(self) -> Linearised:
@@ -267,6 +258,11 @@ class NominalAnalysis:
         """Screening results of single effects, the largest Bayes factor first."""
         return screen(self.linear, self.sensitivities)
 
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log evidence of the nominal model, in nats."""
+        return self.nominal.log_evidence(self.inverse)
+
     def places(self, effect: Effect) -> FloatArray:
         """Return the places at which an effect was evaluated; see `places_of`."""
         return places_of(self.inverse, effect)
@@ -278,51 +274,19 @@ class NominalAnalysis:
         """
         return effect.place is None and self.sensitivity_by_name[effect.name].is_steep
 
-    @cached_property
-    def noise(self) -> NoiseModel:
-        """Noise of the evidence of all hypotheses, with the smooth field for unlisted causes.
+    def field_gain(self, at: Fit) -> float:
+        """Return the gain in log evidence of a fit from a smooth field for unlisted causes.
 
-        It takes seconds for 4,000 residuals.
+        It is averaged over the lengths and amplitudes of the field's prior; zero without a field.
         """
-        learnt, prior = self.inverse.learnt, self.inverse.something_else
-        if learnt is None:
-            raise ValueError("the noise is only known after the calibration")
-        return NoiseModel(learnt.parts, learnt.states, self.fields, prior.amplitudes_mm)
-
-    @cached_property
-    def coarse_noise(self) -> NoiseModel:
-        """Noise of the posterior of parameters and gaps; see `averaged_evidence`."""
-        return self.noise.coarsened(self.inverse.coarsening)
-
-    def hypothesis(self, at: Fit) -> LinearHypothesis:
-        """Return a fit as input for `noise`, corrected for the roughness of the drawn surface.
-
-        The uncertainty of constants that are held fixed is included.
-        """
-        found = at.hypothesis(self.inverse).with_errors(self._held)
-        return found if self._rough is None else self._rough.taken_off(found)
-
-    @cached_property
-    def _held(self) -> FloatArray:
-        """Columns of held constants; empty for markers, as uncertain constants are then fitted."""
-        m = len(self.inverse.bias)
-        return held_columns(self.sensitivities if self.inverse.is_segmented else (), m)
-
-    @cached_property
-    def _rough(self) -> RoughSurface | None:
-        """Bias from roughness; None if no effect resembles it, or there is no drawing error."""
-        skin = next((one for one in self.sensitivities if one.resembles_roughness), None)
-        drawn_sd_mm, learnt = self.inverse.noise.reference_sd_mm, self.inverse.learnt
-        if skin is None or learnt is None or not (self.inverse.is_segmented and drawn_sd_mm):
-            return None
-        return RoughSurface.like(skin, drawn_sd_mm * float(learnt.states[0].scales[0]))
-
-    def registered(self, change: FloatArray) -> FloatArray:
-        """Return a change of the residuals, (m,), without the part that the nuisances absorb."""
-        poses = self.nominal.pose_columns(self.inverse)
-        nuisances = np.hstack([poses, self.inverse.drawing])
-        white = self.linear.whiten(np.column_stack([nuisances, change]))
-        return np.asarray(change - nuisances @ (white[:, :-1].T @ white[:, -1]))
+        amplitudes_mm = self.inverse.something_else.amplitudes_mm
+        without = at.log_evidence(self.inverse)
+        with_field = [
+            at.log_evidence(self.inverse, amplitude * columns)
+            for columns in self.fields
+            for amplitude in amplitudes_mm
+        ]
+        return float(logsumexp(with_field) - np.log(len(with_field))) - without
 
     @cached_property
     def fields(self) -> tuple[FloatArray, ...]:
@@ -337,34 +301,17 @@ class NominalAnalysis:
         return prior.middle_amplitude_mm * self._smooth_columns(prior.middle_length_mm)
 
     def _smooth_columns(self, length_mm: float) -> FloatArray:
+        inverse = self.inverse
         normals = np.concatenate([scan.normals for scan in self.nominal.predictions])
         return smooth_columns(
-            self._points,
+            np.tile(inverse.points.points, (len(inverse.scans), 1)),
             normals,
-            self.inverse.rows,
+            inverse.rows,
             np.ones(len(normals)),
             length_mm,
-            self.inverse.something_else.state_correlation.between(self.inverse.directions),
+            inverse.something_else.state_correlation.between(inverse.directions),
             SETTINGS.smooth_field.rank_tolerance,
         )
-
-    @cached_property
-    def form(self) -> FormError:
-        """Form errors of the catalogue's patterns."""
-        inverse = self.inverse
-        normals = np.tile(inverse.points.normals, (len(inverse.scans), 1))
-        length_mm = inverse.something_else.middle_length_mm
-        between = SETTINGS.form.state_correlation.between(inverse.directions)
-        return FormError(self._points, normals, inverse.rows, between, length_mm)
-
-    def errors_of_form(self, at: LinearHypothesis) -> FloatArray:
-        """Return columns of unit deviation for form errors as large as the effects' change."""
-        changed = self.hypothesis(self.nominal).residual - at.residual
-        return self.form.columns(self.registered(changed))
-
-    @property
-    def _points(self) -> FloatArray:
-        return np.tile(self.inverse.points.points, (len(self.inverse.scans), 1))
 
     @property
     def sensitivity_by_name(self) -> dict[str, EffectSensitivity]:

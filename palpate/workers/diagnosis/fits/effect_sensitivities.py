@@ -178,13 +178,7 @@ def joined_sensitivity(
     sided = np.array([one_sided(p) for p in effect.parameters])
     q = stacked.shape[-1]
     return EffectSensitivity(
-        effect.name,
-        effect.family,
-        stacked,
-        np.array(effect.prior_sd[:q]),
-        sided[:q],
-        effect.held_sd[:q],
-        effect.resembles_roughness,
+        effect.name, effect.family, stacked, np.array(effect.prior_sd[:q]), sided[:q]
     )
 
 

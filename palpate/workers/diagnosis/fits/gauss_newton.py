@@ -15,8 +15,8 @@ import numpy as np
 
 from palpate.storage.values import FloatArray, IntArray
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.laplace_evidence import log_evidence
 from palpate.workers.diagnosis.linearisation import Linearised, factored
-from palpate.workers.diagnosis.noise.averaged_evidence import LinearHypothesis
 from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, Scan, Unknowns
 from palpate.workers.diagnosis.problem.scan_prediction import (
     ComparedScan,
@@ -203,18 +203,21 @@ class Fit:
             inverse.scatter_factor,
         )
 
-    def hypothesis(self, inverse: InverseProblem) -> LinearHypothesis:
-        """Return the linearisation for `workers.diagnosis.noise.averaged_evidence.NoiseModel`."""
-        u = self.unknowns
-        linear = LinearHypothesis(
-            self.residual(inverse),
-            self.jacobian * u.sd,
-            (self.z - u.mean) / u.sd,
-            u.one_sided,
-            np.zeros(len(u.sd), np.bool_),
-            self.at_bound,
-        )
-        return linear.with_errors(self.pose_columns(inverse), are_poses=True)
+    def log_evidence(self, inverse: InverseProblem, columns: FloatArray | None = None) -> float:
+        """Return the Laplace log evidence, in nats, on a common scale for all fits to the data.
+
+        Parameters
+        ----------
+        inverse : InverseProblem
+        columns : ndarray, shape (m, q), optional
+            Further columns of unit prior deviation to free, such as a smooth field, in mm.
+        """
+        linear = self.linearised_with_poses(inverse)
+        if columns is not None:
+            linear = linear.freed(columns, np.ones(columns.shape[1]))
+        q = len(linear.nominal_sd) - len(self.z)
+        one_sided = np.append(self.unknowns.one_sided, np.zeros(q, np.bool_))
+        return log_evidence(linear, one_sided, np.append(self.at_bound, np.zeros(q, np.int32)))
 
     def pose_columns(self, inverse: InverseProblem) -> FloatArray:
         """Return the pose columns; see `workers.diagnosis.problem.scan_prediction`."""

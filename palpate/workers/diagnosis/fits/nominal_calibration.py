@@ -11,13 +11,8 @@ from palpate.storage.values import BoolArray, FloatArray, TetMesh
 from palpate.workers.body.mesh.nodal_interpolation import interpolation_at_points
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.fits.gauss_newton import Fit, SolvedFit, fit
-from palpate.workers.diagnosis.noise.noise_components import (
-    LearntNoise,
-    believed,
-    pose_columns,
-    smooth_columns,
-)
-from palpate.workers.diagnosis.noise.noise_learning import learnt_states, with_uneven_noise
+from palpate.workers.diagnosis.noise.noise_components import pose_columns, smooth_columns
+from palpate.workers.diagnosis.noise.noise_scale import noise_scales
 from palpate.workers.diagnosis.noise.unmatched_points import matched
 from palpate.workers.diagnosis.problem.inverse_problem import (
     InverseProblem,
@@ -27,8 +22,8 @@ from palpate.workers.diagnosis.problem.inverse_problem import (
 )
 from palpate.workers.diagnosis.problem.scan_noise import (
     anchored,
-    noise_parts,
     pressed_shares,
+    stated_noise,
     with_pressed_points,
 )
 from palpate.workers.diagnosis.problem.scan_prediction import (
@@ -189,7 +184,7 @@ def with_anchored_scans(inverse: InverseProblem, anchors: Sequence[FloatArray]) 
 def with_learnt_noise(
     inverse: InverseProblem, columns: FloatArray, predictions: Sequence[ComparedScan]
 ) -> InverseProblem:
-    """Learn the amplitude and length of the noise; see `workers.diagnosis.noise.noise_learning`.
+    """Learn the size of the noise; see `workers.diagnosis.noise.noise_scale`.
 
     Parameters
     ----------
@@ -199,28 +194,24 @@ def with_learnt_noise(
     predictions : sequence of ComparedScan
         Predictions of the fit at which the derivatives were taken.
     """
-    parts = noise_parts(inverse, predictions)
-    if not inverse.is_segmented:
-        learnt = believed(parts)
-    else:
+    learnt = stated_noise(inverse, predictions)
+    if inverse.is_segmented:
         amplitude, length = SETTINGS.noise.learning_field
-        places = np.tile(inverse.points.points, (len(inverse.scans), 1))
         field = smooth_columns(
-            places,
+            np.tile(inverse.points.points, (len(inverse.scans), 1)),
             np.concatenate([prediction.normals for prediction in predictions]),
             inverse.rows,
-            np.full(parts.size, amplitude),
+            np.full(len(inverse.rows), amplitude),
             length,
             SETTINGS.smooth_field.state_correlation.between(inverse.directions),
             SETTINGS.smooth_field.rank_tolerance,
         )
-        centre_mm = inverse.frame.centre_mm
         moved, normals = [v.points for v in predictions], [v.normals for v in predictions]
-        poses = pose_columns(moved, normals, centre_mm, *inverse.pose_sd)
-        known, residual = np.hstack([columns, poses]), residuals(inverse, predictions)
-        parts = with_uneven_noise(parts, places, np.hstack([known, field]), residual)
-        states = learnt_states(parts, known, residual, field)
-        learnt = LearntNoise(parts, tuple(states))
+        poses = pose_columns(moved, normals, inverse.frame.centre_mm, *inverse.pose_sd)
+        every = np.hstack([learnt.fixed, learnt.numerical, columns, poses, field])
+        residual = residuals(inverse, predictions)
+        scales = noise_scales(learnt.stated, learnt.groups, every, residual)
+        learnt = replace(learnt, scales=scales)
     return replace(inverse, learnt=learnt, covariance=learnt.covariance)
 
 

@@ -12,8 +12,7 @@ from typing import Literal
 
 from palpate.storage.read_only import ReadOnly
 from palpate.storage.values import Triple
-from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
-from palpate.workers.diagnosis.verdict.verdict import Kind
+from palpate.workers.diagnosis.verdict.cause_selection import Kind
 from palpate.workers.mechanics.model_parameters import ShownMagnitude
 
 CheckedOn = Literal["same scan", "other scans"]
@@ -180,8 +179,7 @@ class GapSummary(ReadOnly):
     Parameters
     ----------
     before : GapEstimate
-        Gap of the nominal model, averaged over all possible causes; see
-        `workers.diagnosis.outcome.averaged_posteriors`.
+        Gap of the nominal model.
     noise_floor : float
         Observation noise at one point, in mm.
     calibration_floor : float
@@ -191,8 +189,6 @@ class GapSummary(ReadOnly):
     held_out_before, held_out_after : GapEstimate or None
         Also None for a single scan.
     share, held_out_share : ShareEstimate, optional
-        Also None if "no gap" is in the 90 % set of causes, because the share of a gap that may not
-        exist is undefined.
     held_out : str, optional
         How scans were held out, in words.
     held_out_each : mapping of str to GapShrinkage, optional
@@ -239,33 +235,14 @@ class GapSummary(ReadOnly):
             return None
         return "same scan" if self.held_out_after is None else "other scans"
 
-    @property
-    def most_of_complete_model_mm(self) -> float:
-        """95th percentile of the gap left by a model without a missing effect."""
-        return SETTINGS.gap.floor_range[1] * self.calibration_floor
-
-    @property
-    def is_something_left(self) -> bool:
-        """Whether the named effects clearly leave a larger gap than a complete model would."""
-        left = self.after
-        if left is None or left.low_mm < self.calibration_floor:
-            return False
-        return left.gap_mm > self.most_of_complete_model_mm
-
 
 @dataclass(frozen=True, slots=True)
 class InterfaceNoise:
-    """Segmentation noise of an interface, as given and as learnt: standard deviations in mm.
-
-    `learnt_mm` applies to the middle of the body, `least_mm` and `most_mm` to the parts of the
-    interface with the smallest and largest noise.
-    """
+    """Segmentation noise of an interface, as given and as learnt: standard deviations in mm."""
 
     interface: str
     stated_mm: float
     learnt_mm: float
-    least_mm: float | None = None
-    most_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,16 +283,15 @@ class ParameterEstimate:
 
 @dataclass(frozen=True, slots=True)
 class EffectSummary:
-    """Probability and estimated parameters of one effect.
+    """Gain and estimated parameters of one effect.
 
     Parameters
     ----------
     name, family, summary : str
-    probability : float
-        Probability that the effect acts, alone or with others.
+    gain : float or None
+        Gain in log evidence from fitting this effect alone, in nats; None if it was not fitted.
     magnitude, sd, unit
-        Estimate of the most significant parameter; for a joint fit, averaged over noise and poses,
-        see `workers.diagnosis.outcome.averaged_posteriors`.
+        Estimate of the most significant parameter.
     parameters : tuple of ParameterEstimate
     log_bayes_factor : float
         Log Bayes factor from the screening, in nats.
@@ -325,12 +301,16 @@ class EffectSummary:
         Whether the effect was fitted together with the constants.
     shown : ShownMagnitude, optional
         The magnitude as displayed; see `workers.mechanics.model_parameters`.
+    seen_from : float, optional
+        Size in `seen_unit` from which these data would have shown the effect; None if the constants
+        hide it at any size.
+    seen_unit : str
     """
 
     name: str
     family: str
     summary: str
-    probability: float
+    gain: float | None
     magnitude: float
     sd: float
     unit: str
@@ -339,9 +319,12 @@ class EffectSummary:
     absorbed_share: float
     refitted: bool
     shown: ShownMagnitude | None = None
+    seen_from: float | None = None
+    seen_unit: str = ""
 
     def __repr__(self) -> str:
-        return f"<Effect {self.name}: probability {self.probability:.2g}>"
+        gain = "not fitted" if self.gain is None else f"{self.gain:+.3g} nats"
+        return f"<Effect {self.name}: {gain}>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -375,8 +358,8 @@ class ConstantEstimate:
 class JointFitSummary(ReadOnly):
     """Gain in log evidence of a joint fit of effects over the nominal model, in nats.
 
-    `field_gain` is the further gain from a smooth field; `values` holds all parameters at the
-    optimum, in internal names and units.
+    `field_gain` is the further gain from a smooth field, for the named effects; `values` holds all
+    parameters at the optimum, in internal names and units.
     """
 
     effects: tuple[str, ...]
@@ -465,17 +448,19 @@ class Summary(ReadOnly):
     case : str
     verdict : {"no-gap", "effect", "cannot-be-told-apart", "none-of-these"}
     primary : tuple of str
-        The named effects; see `workers.diagnosis.verdict.verdict.Verdict`.
+        The named effects; see `workers.diagnosis.verdict.cause_selection.Verdict`.
     effects : tuple of EffectSummary
         All effects that act and could be simulated, in the order of the catalogue.
-    set90 : tuple of str
-    families : mapping of str to float
+    rivals : tuple of str
+        Effects that cannot be told apart from the first, the best first.
     absorbed : tuple of str
         Effects that the constants hide.
-    no_gap_probability, none_of_these_probability : float
-    alarm, threshold : float
-        Values in nats.
-    explained_share : float or None
+    gain : float
+        Gain of the best single effect in log evidence, in nats.
+    left_gain : float
+        Gain of a smooth field in addition to the named effects, in nats.
+    something_else : bool
+        Whether that gain shows that something else acts.
     gap_mm : GapSummary
     where : tuple of RegionGap
     constants : mapping of str to ConstantEstimate
@@ -508,14 +493,11 @@ class Summary(ReadOnly):
     verdict: Kind
     primary: tuple[str, ...]
     effects: tuple[EffectSummary, ...]
-    set90: tuple[str, ...]
-    families: Mapping[str, float]
+    rivals: tuple[str, ...]
     absorbed: tuple[str, ...]
-    no_gap_probability: float
-    none_of_these_probability: float
-    alarm: float
-    threshold: float
-    explained_share: float | None
+    gain: float
+    left_gain: float
+    something_else: bool
     gap_mm: GapSummary
     where: tuple[RegionGap, ...]
     constants: Mapping[str, ConstantEstimate]

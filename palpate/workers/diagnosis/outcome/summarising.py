@@ -8,9 +8,9 @@ import numpy as np
 
 from palpate.storage.values import FloatArray
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
+from palpate.workers.diagnosis.fits.effect_screening import minimum_detectable
 from palpate.workers.diagnosis.fits.gauss_newton import Fit
 from palpate.workers.diagnosis.linearisation import LinearFit, Linearised, Registration
-from palpate.workers.diagnosis.outcome.averaged_posteriors import draw_gaps, parameter_posterior
 from palpate.workers.diagnosis.outcome.diagnosis_summary import (
     ConstantEstimate,
     EffectSummary,
@@ -34,13 +34,14 @@ from palpate.workers.diagnosis.outcome.gap_and_shrinkage import (
 from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, InverseProblem
 from palpate.workers.diagnosis.problem.planned_acquisition import INTERFACES
 from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis
-from palpate.workers.diagnosis.verdict.verdict import NO_GAP
 from palpate.workers.mechanics.effects.effect import Effect, one_sided
-from palpate.workers.mechanics.model_parameters import KPA, Parameter, shown
+from palpate.workers.mechanics.model_parameters import KPA, Parameter, shown, shown_change
 
 # Number of standard deviations on either side of the mean that contain 90 % of a normal
 # distribution.
 DEVIATIONS_90 = 1.6449
+# Sizes beyond so many prior standard deviations are no longer linear, and not plausible.
+MOST_DEVIATIONS = 3.0
 
 
 def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Summary:
@@ -61,14 +62,11 @@ def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Sum
         verdict=reached.kind,
         primary=reached.primary,
         effects=tuple(_effect(diagnosis, e) for e in effects if e.name in acting),
-        set90=reached.set90,
-        families=reached.families,
+        rivals=reached.rivals,
         absorbed=reached.hidden,
-        no_gap_probability=reached.no_gap,
-        none_of_these_probability=reached.none_of_these,
-        alarm=reached.alarm,
-        threshold=reached.threshold,
-        explained_share=reached.explained_share,
+        gain=reached.gain,
+        left_gain=reached.left_gain,
+        something_else=reached.something_else_acts,
         gap_mm=_gap_mm(diagnosis, registered),
         where=tuple(_where(diagnosis.analysis.inverse, registered)),
         constants=_constants(diagnosis),
@@ -83,14 +81,11 @@ def _noise(inverse: InverseProblem) -> tuple[InterfaceNoise, ...] | None:
     """Return the segmentation noise of each interface; None if the noise was measured."""
     if inverse.learnt is None or not inverse.is_segmented:
         return None
-    parts, stated = inverse.learnt.parts, inverse.noise.sd_mm
-    scales = inverse.learnt.states[0].scales
-    noises = []
-    for number, (interface, scale) in enumerate(zip(INTERFACES, scales, strict=False)):
-        sd_mm = stated * scale * parts.factors[parts.groups == number]
-        ends = float(sd_mm.min()), float(sd_mm.max())
-        noises.append(InterfaceNoise(interface.name, stated, float(stated * scale), *ends))
-    return tuple(noises)
+    stated = inverse.noise.sd_mm
+    return tuple(
+        InterfaceNoise(interface.name, stated, float(stated * scale))
+        for interface, scale in zip(INTERFACES, inverse.learnt.scales, strict=False)
+    )
 
 
 def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
@@ -99,11 +94,12 @@ def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
     names = best.names if best is not None and effect.name in best.names else (effect.name,)
     parameters = _parameters(diagnosis, effect, names)
     lead = max(parameters[: effect.size_count], key=_in_deviations)
+    seen_from, seen_unit = _seen_from(diagnosis, effect, parameters.index(lead))
     return EffectSummary(
         name=effect.name,
         family=effect.family,
         summary=effect.summary,
-        probability=diagnosis.verdict.probabilities.get(effect.name, 0.0),
+        gain=diagnosis.gain((effect.name,)) if (effect.name,) in diagnosis.joint_fits else None,
         magnitude=lead.magnitude,
         sd=lead.sd,
         unit=lead.unit,
@@ -112,7 +108,27 @@ def _effect(diagnosis: Diagnosis, effect: Effect) -> EffectSummary:
         absorbed_share=screened.absorbed,
         refitted=names in diagnosis.joint_fits,
         shown=lead.shown,
+        seen_from=seen_from,
+        seen_unit=seen_unit,
     )
+
+
+def _seen_from(diagnosis: Diagnosis, effect: Effect, number: int) -> tuple[float | None, str]:
+    """Return the change of a parameter that these data would have shown, and its unit.
+
+    It is the one whose expected gain reaches the threshold of a first cause; None if no plausible
+    size does.
+    """
+    analysis, parameter = diagnosis.analysis, effect.parameters[number]
+    if effect.name in diagnosis.verdict.hidden:
+        return None, ""
+    sensitivity = analysis.sensitivity_by_name[effect.name]
+    strength = 2.0 * SETTINGS.selection.first
+    size = float(minimum_detectable(analysis.linear, sensitivity, strength)[number])
+    if not size < MOST_DEVIATIONS * effect.prior_sd[number]:
+        return None, ""
+    at_door = parameter.unit.to_door(size)
+    return shown_change(parameter.reading, at_door, parameter.unit.symbol)
 
 
 def _parameters(
@@ -123,9 +139,7 @@ def _parameters(
     Positions are in the coordinates of the scans.
     """
     analysis, fitted = diagnosis.analysis, diagnosis.joint_fits.get(names)
-    posterior = fitted and parameter_posterior(
-        analysis.coarse_noise, analysis.hypothesis(fitted.fit), fitted.fit.unknowns
-    )
+    spread = None if fitted is None else _parameter_sd(analysis.inverse, fitted.fit)
     screened = analysis.screening_by_name[effect.name]
     centre_mm = analysis.inverse.frame.centre_mm
     positions = {} if effect.place is None else effect.place.positions_mm(centre_mm)
@@ -133,9 +147,12 @@ def _parameters(
     nu = _poissons_ratio(diagnosis) if needs_nu else None
     estimates = []
     for i, parameter in enumerate(effect.parameters):
-        if fitted and posterior:
+        if fitted is not None and spread is not None:
             index = fitted.fit.unknowns.names.index(parameter.name)
-            value, sd = float(posterior.mean[index]), float(posterior.sd[index])
+            value, sd = float(fitted.fit.z[index]), float(spread[index])
+            if i < effect.size_count:
+                of_form = SETTINGS.gap.form_sd * (value - effect.neutral[parameter.name])
+                sd = float(np.hypot(sd, of_form if analysis.inverse.is_segmented else 0.0))
         elif i < len(screened.estimate):
             value, sd = float(screened.estimate[i]), float(screened.estimate_sd[i])
             if one_sided(parameter):
@@ -179,22 +196,14 @@ def _in_deviations(parameter: ParameterEstimate) -> float:
 def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
     analysis, best = diagnosis.analysis, diagnosis.best
     inverse = analysis.inverse
-    drawn = draw_gaps(
-        analysis,
-        {names: joint_fit.fit for names, joint_fit in diagnosis.joint_fits.items()},
-        diagnosis.verdict.hypotheses,
-        None if best is None else best.fit,
-        SETTINGS.gap.undrawn * _meshed_mm(inverse),
-    )
-    noise_mm = gap(registered, inverse.is_place).noise_mm
-    floor_mm = _floor_mm(inverse, analysis.linear)
-    before = _drawn_gap(drawn.before_mm, noise_mm, len(drawn.before))
+    place, floor_mm = inverse.is_place, _floor_mm(inverse, analysis.linear)
+    whole = gap(registered, place, floor_mm)
     fitted_mm, undeformed_mm = _distances_mm(
         inverse, analysis.nominal if best is None else best.fit
     )
     alone = GapSummary(
-        before,
-        noise_mm,
+        _estimate(whole),
+        whole.noise_mm,
         floor_mm,
         None,
         None,
@@ -202,19 +211,19 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
         fitted_mm=fitted_mm,
         undeformed_mm=undeformed_mm,
     )
-    if best is None or drawn.after_mm is None:
+    if best is None:
         return alone
-    after = _drawn_gap(drawn.after_mm, noise_mm, len(drawn.before))
-    share = ShareEstimate(
-        1.0 - after.gap_mm**2 / before.gap_mm**2,
-        *_interval(1.0 - drawn.after_mm**2 / drawn.before_mm**2),
+    comparison = Comparison(
+        analysis.linear_with_poses,
+        best.fit.linearised_with_poses(inverse),
+        SETTINGS.gap.seed,
+        floor_mm=floor_mm,
+        registered=inverse.nuisance_count,
+        judged=place,
     )
-    fits = analysis.linear_with_poses, best.fit.linearised_with_poses(inverse)
-    seed, poses = SETTINGS.gap.seed, inverse.nuisance_count
-    place = inverse.is_place
-    comparison = Comparison(*fits, seed, floor_mm=floor_mm, registered=poses, judged=place)
-    inside = replace(alone, after=after, share=share)
-    return known_shares(_with_held_out(inside, inverse, comparison), diagnosis.verdict.set90)
+    found = _compared(comparison.shrinkage())
+    inside = replace(alone, before=found.before, after=found.after, share=found.share)
+    return _with_held_out(inside, inverse, comparison)
 
 
 def _distances_mm(inverse: InverseProblem, fit: Fit) -> tuple[float, float]:
@@ -228,21 +237,6 @@ def _distances_mm(inverse: InverseProblem, fit: Fit) -> tuple[float, float]:
         return float(np.sqrt(np.mean(np.concatenate(residuals)[inverse.is_place] ** 2)))
 
     return rms(fitted), rms(rest)
-
-
-def _drawn_gap(draws_mm: FloatArray, noise_mm: float, points: int) -> GapEstimate:
-    return GapEstimate(float(draws_mm.mean()), *_interval(draws_mm), noise_mm, points)
-
-
-def _interval(draws: FloatArray) -> tuple[float, float]:
-    level = SETTINGS.gap.level
-    low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
-    return float(low), float(high)
-
-
-def known_shares(found: GapSummary, set90: Sequence[str]) -> GapSummary:
-    """Omit the shares if there may be no gap, because its shrinkage is then undefined."""
-    return replace(found, share=None, held_out_share=None) if NO_GAP in set90 else found
 
 
 def _registered(diagnosis: Diagnosis) -> LinearFit:
@@ -360,30 +354,35 @@ def _at_door(free: FreeConstant, ends: tuple[float, float] | None) -> tuple[floa
 def _intervals(diagnosis: Diagnosis, fit: Fit) -> dict[str, tuple[float, float]]:
     """Return the 90 % intervals of the constants of a fit, in internal units.
 
-    They cover both the optimum of the fit and the mean of the posterior, which averages over
-    uncertain noise and poses. For scans they include the difference between solvers.
+    For scans they include the difference between solvers.
     """
-    analysis = diagnosis.analysis
-    solver_sd = SETTINGS.mesh.stiffness_sd if analysis.inverse.is_segmented else 0.0
-    posterior = parameter_posterior(analysis.coarse_noise, analysis.hypothesis(fit), fit.unknowns)
+    inverse = diagnosis.analysis.inverse
+    solver_sd = SETTINGS.mesh.stiffness_sd if inverse.is_segmented else 0.0
+    spread = _parameter_sd(inverse, fit)
     intervals = {}
     for i, free in enumerate(fit.unknowns.free):
-        middle, here = float(posterior.mean[i]), float(fit.z[i])
         between = solver_sd if free.unit == KPA else 0.0
-        reach = DEVIATIONS_90 * float(np.hypot(posterior.sd[i], between))
-        low, high = min(middle, here) - reach, max(middle, here) + reach
-        intervals[free.name] = (float(np.exp(low)), float(np.exp(high)))
+        reach = DEVIATIONS_90 * float(np.hypot(spread[i], between))
+        here = float(fit.z[i])
+        intervals[free.name] = (float(np.exp(here - reach)), float(np.exp(here + reach)))
     return intervals
 
 
+def _parameter_sd(inverse: InverseProblem, fit: Fit) -> FloatArray:
+    """Return the posterior standard deviation of each unknown of a fit, shape (p,)."""
+    A = fit.linearised(inverse).scaled_nominal
+    covariance = np.linalg.inv(np.eye(A.shape[1]) + A.T @ A)
+    wider = SETTINGS.gap.solver_spread if inverse.is_segmented else 1.0
+    return np.asarray(wider * np.sqrt(np.diag(covariance)) * fit.unknowns.sd)
+
+
 def _joint_fit(diagnosis: Diagnosis, names: tuple[str, ...]) -> JointFitSummary:
-    hypothesis = next(h for h in diagnosis.hypotheses if h.effects == names)
-    nothing = next(h for h in diagnosis.hypotheses if not h.effects)
     fit = diagnosis.joint_fits[names].fit
+    is_named = set(names) == set(diagnosis.verdict.primary)
     return JointFitSummary(
         effects=names,
-        log_evidence_gain=hypothesis.log_evidence - nothing.log_evidence,
-        field_gain=hypothesis.discrepancy_gain,
+        log_evidence_gain=diagnosis.gain(names),
+        field_gain=diagnosis.verdict.left_gain if is_named else None,
         converged=fit.converged,
         values=fit.values(),
     )

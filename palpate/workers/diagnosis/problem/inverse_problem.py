@@ -223,7 +223,7 @@ class InverseProblem:
         scans may deviate from the poses in their headers. False for markers, whose noise was
         measured.
     learnt : LearntNoise, optional
-        The noise found by the calibration; `covariance` is then its likeliest state.
+        The noise found by the calibration, which `covariance` then contains.
     anchors : sequence of ndarray, shape (k, 3)
         Positions at which the noise of each scan was evaluated; see
         `workers.diagnosis.problem.scan_noise`. Empty before the calibration.
@@ -275,12 +275,7 @@ class InverseProblem:
         """Columns of contour bias, per prior sd, shape (s k, q), in mm."""
         if self.learnt is None:
             return np.zeros((len(self.bias), 0))
-        return self.learnt.parts.fixed
-
-    @property
-    def coarsening(self) -> float:
-        """The power zeta of `workers.diagnosis.noise.averaged_evidence`; 1 for measured points."""
-        return SETTINGS.noise.coarsening if self.is_segmented else 1.0
+        return self.learnt.fixed
 
     @property
     def has_poses(self) -> bool:
@@ -406,22 +401,14 @@ class Unknowns:
         return lower, upper
 
 
-def unknowns(
-    free: Sequence[FreeConstant], effects: Sequence[Effect], means: Values | None = None
-) -> Unknowns:
-    """Return the parameters of the hypothesis with the given effects.
-
-    Parameters
-    ----------
-    means : mapping of str to float, optional
-        Prior means that differ from the neutral values, such as the location of a lump.
-    """
+def unknowns(free: Sequence[FreeConstant], effects: Sequence[Effect]) -> Unknowns:
+    """Return the parameters of the hypothesis with the given effects."""
     mean, sd = [f.log_mean for f in free], [f.log_sd for f in free]
     for effect in effects:
         present = effect.if_present or tuple(
             zip(effect.neutral.values(), effect.prior_sd, strict=True)
         )
-        for name, (middle, scale) in zip(effect.names, present, strict=True):
-            mean.append((means or {}).get(name, middle))
+        for middle, scale in present:
+            mean.append(middle)
             sd.append(scale)
     return Unknowns(free, effects, np.array(mean), np.array(sd))

@@ -31,7 +31,7 @@ evaluated at the predicted position of a material point. A hypothesis that moves
 mm evaluates it at another position on the segmented interface, with a different error. The misfits
 of two hypotheses would then differ by the difference between two noise draws: tens of nats for a
 thousand points, without any information. The error is therefore evaluated once, at the points
-predicted by the nominal model or the best effect (`diagnosis.verdict.diagnosis_course.read_again`).
+predicted by the nominal model.
 Changes of a residual come from the interface averaged over a disc, which has less noise but the
 same shape:
 
@@ -53,7 +53,7 @@ from palpate.workers.comparison.observation.interface_residual import InterfaceP
 from palpate.workers.comparison.observation.segmentation_noise import correlation, covariance
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.noise.noise_components import (
-    NoiseParts,
+    LearntNoise,
     drawing_columns,
     pivoted,
     pose_columns,
@@ -110,8 +110,8 @@ def _faces(
                     yield which, sd_mm[which][:, None] * sd_mm[which] * alike
 
 
-def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> NoiseParts:
-    """Return the noise components of an inverse problem whose constants have been fitted once.
+def stated_noise(inverse: InverseProblem, predictions: Sequence[ComparedScan]) -> LearntNoise:
+    """Return the noise as stated, for a problem whose constants have been fitted once.
 
     Parameters
     ----------
@@ -120,12 +120,13 @@ def noise_parts(inverse: InverseProblem, predictions: Sequence[ComparedScan]) ->
     predictions : sequence of ComparedScan
         Comparison with each scan.
     """
-    return NoiseParts(
-        stated=stated_covariances(inverse),
-        lengths=noise_lengths(inverse),
-        groups=np.tile(inverse.points.interface, len(inverse.scans)),
+    groups = np.tile(inverse.points.interface, len(inverse.scans))
+    return LearntNoise(
+        stated=stated_covariance(inverse),
+        groups=groups,
         fixed=np.hstack([_drawing(inverse), voxel_steps(inverse, predictions)]),
         numerical=_numerical(inverse, predictions),
+        scales=np.ones(int(groups.max()) + 1),
     )
 
 
@@ -136,7 +137,7 @@ def planned_covariance(inverse: InverseProblem) -> FloatArray:
     """
     scans, points = len(inverse.scans), inverse.points
     carried = np.ones((scans, len(points)))
-    drawn = covariance(points, inverse.noise, scans) + _smoother(inverse, 1.0, carried)
+    drawn = covariance(points, inverse.noise, scans) + _smoother(inverse, carried)
     fixed = _drawing(inverse)
     if inverse.is_segmented:
         centre_mm, at_rest = inverse.frame.centre_mm, ([points.points], [points.normals])
@@ -153,22 +154,13 @@ def _drawing(inverse: InverseProblem) -> FloatArray:
     return drawing_columns(inverse.points.interface, len(inverse.scans), common, each)
 
 
-def noise_lengths(inverse: InverseProblem) -> tuple[float, ...]:
-    """Return the correlation lengths divided by the given length; only 1 for measured noise."""
-    return SETTINGS.noise.lengths if inverse.is_segmented else (1.0,)
-
-
-def stated_covariances(inverse: InverseProblem) -> tuple[FloatArray, ...]:
-    """Return the given noise covariance for each correlation length, shape (m, m)."""
-    if not inverse.is_segmented:
-        return (inverse.covariance + _smoother(inverse, 1.0, _carried(inverse)),)
-    found = []
-    for factor in noise_lengths(inverse):
-        noise = replace(inverse.noise, correlation_mm=factor * inverse.noise.correlation_mm)
-        carried = _carried(inverse)
-        drawn = covariance(inverse.points, noise, len(inverse.scans), carried)
-        found.append(drawn + _smoother(inverse, factor, carried))
-    return tuple(found)
+def stated_covariance(inverse: InverseProblem) -> FloatArray:
+    """Return the given covariance of the noise, with its smoother part, (m, m) in mm^2."""
+    carried = _carried(inverse)
+    drawn = inverse.covariance
+    if inverse.is_segmented:
+        drawn = covariance(inverse.points, inverse.noise, len(inverse.scans), carried)
+    return drawn + _smoother(inverse, carried)
 
 
 def _carried(inverse: InverseProblem) -> FloatArray:
@@ -176,13 +168,13 @@ def _carried(inverse: InverseProblem) -> FloatArray:
     return 1.0 - np.stack([inverse.followed(scan).pressed for scan in inverse.scans])
 
 
-def _smoother(inverse: InverseProblem, factor: float, carried: FloatArray) -> FloatArray:
+def _smoother(inverse: InverseProblem, carried: FloatArray) -> FloatArray:
     """Return the covariance of the part of the noise that is smoother than given.
 
     `carried` is the share of the error at rest that enters each scan's residuals, shape (s, k).
     """
     settings, noise, scans = SETTINGS.noise, inverse.noise, len(inverse.scans)
-    smooth = correlation(inverse.points, settings.smoother_lengths * factor * noise.correlation_mm)
+    smooth = correlation(inverse.points, settings.smoother_lengths * noise.correlation_mm)
     at_rest = noise.reference_sd_mm * carried.ravel()
     found = np.kron(np.eye(scans), noise.sd_mm**2 * smooth)
     found += np.tile(smooth, (scans, scans)) * np.outer(at_rest, at_rest)

@@ -10,7 +10,6 @@ from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis, ScreeningResult, screen
 from palpate.workers.diagnosis.fits.effect_sensitivities import starting_places
 from palpate.workers.diagnosis.fits.gauss_newton import Fit, SolvedFit, fit
-from palpate.workers.diagnosis.laplace_evidence import log_evidence
 from palpate.workers.diagnosis.linearisation import Linearised
 from palpate.workers.diagnosis.problem.inverse_problem import unknowns
 from palpate.workers.kernels_and_threads import Each
@@ -62,10 +61,10 @@ def fit_jointly(
     JointFit or None
         None if neither a starting point nor one closer to neutral could be simulated.
     """
-    begun = analysis.begun.get(effects[0].name, {}) if base is None else base.fit.values()
+    begun = {} if base is None else base.fit.values()
     linear = analysis.linear if base is None else base.fit.linearised(analysis.inverse)
     new = [effect for effect in effects if effect.names[0] not in begun]
-    nominal = analysis.nominal.values() | dict(begun)
+    nominal = analysis.nominal.values() | begun
     starts = _starts(analysis, linear, new)
     few = SETTINGS.joint_fits.trial_iterations if len(starts) > 1 else SETTINGS.fit.max_iterations
     best: SolvedJointFit | None = None
@@ -110,13 +109,7 @@ def _fitted_from(
     fitted = fit(inverse, free, z, near.starts(), near.poses(), each, max_iterations)
     if fitted is None:
         return None
-    q = inverse.nuisance_count
-    evidence = log_evidence(
-        fitted.linearised_with_poses(inverse),
-        np.append(free.one_sided, np.zeros(q, np.bool_)),
-        np.append(fitted.at_bound, np.zeros(q, np.int32)),
-    )
-    return SolvedJointFit(tuple(effects), fitted, evidence)
+    return SolvedJointFit(tuple(effects), fitted, fitted.log_evidence(inverse))
 
 
 def _compensated(

@@ -132,9 +132,6 @@ class Effect:
         For an effect that acts at one place. Parameters before those of the place are then its
         sizes; where they are neutral, the others change nothing, so the place is first searched
         on a grid.
-    odds : float
-        Prior odds relative to other effects of its catalogue, > 0. Default 1: equally
-        probable.
     is_slow : bool
         Whether its tasks take several times as long as other effects' tasks and are
         therefore submitted first. Default False.
@@ -149,12 +146,6 @@ class Effect:
     about_centre : bool
         Whether an effect on the observation rotates, scales or shears about the middle of
         the body. Default False: it does not depend on that point.
-    held_sd : tuple of float
-        Standard deviation of each parameter where a case states it, internal units: an
-        uncertainty common to all hypotheses. Default empty: a stated value is exact.
-    resembles_roughness : bool
-        Whether a rough segmentation of the body at rest looks like this effect, whose first
-        parameter is a stiffness per width in N/mm. Default False.
     is_mapped : bool
         Whether a report shows a map of the places where stiffer or softer tissue would explain
         the residuals. Its first parameter is that stiffness, and its `place` is inside the body.
@@ -181,7 +172,7 @@ class Effect:
     Raises
     ------
     InputError
-        If a parameter has no neutral value; if a scale, a step or the odds are missing or not
+        If a parameter has no neutral value; if a scale or a step is missing or not
         positive; or if a mapped effect has no place inside the body.
     """
 
@@ -197,13 +188,10 @@ class Effect:
     if_present: tuple[tuple[float, float], ...] = ()
     sees: Literal["points", "moves", "arms", "cells"] = "points"
     place: Place | None = None
-    odds: float = 1.0
     is_slow: bool = False
     follows_path: bool = False
     moves_scan: bool = False
     about_centre: bool = False
-    held_sd: tuple[float, ...] = ()
-    resembles_roughness: bool = False
     is_mapped: bool = False
     holds_body: bool = False
     is_confounded: bool = False
@@ -213,13 +201,9 @@ class Effect:
     truth: Truth | None = None
 
     def __post_init__(self) -> None:
-        if not self.odds > 0:
-            raise InputError(f"The effect {self.name} needs odds > 0, found {self.odds}.")
         if self.is_mapped and (self.place is None or self.place.on != "inside"):
             raise InputError(f"The effect {self.name} needs a place inside the body for a map.")
         scales = {"prior_sd": self.prior_sd, "steps": self.steps}
-        if self.held_sd:
-            scales["held_sd"] = self.held_sd
         for what, numbers in scales.items():
             if len(numbers) != len(self.parameters) or not all(n > 0 for n in numbers):
                 raise InputError(

@@ -164,6 +164,5 @@ GROWTH = Effect(
         "P. A. Fowler et al., Br. J. Obstet. Gynaecol. 97 (1990) 595",
         "E. K. Rodriguez, A. Hoger, A. D. McCulloch, J. Biomech. 27 (1994) 455",
     ),
-    odds=0.2,
     truth=_true_growth,
 )

@@ -34,8 +34,6 @@ from palpate.workers.mechanics.model_parameters import (
 
 
 COMPRESSIBILITY_NAME = "ln_compressibility"
-# Uncertainty of a stated Poisson's ratio of 0.49: +-0.002, as the logarithm of 1 - 2 nu.
-HELD_LOG_SD = 0.115
 
 
 def _compressibility(problem: Problem, values: Values, frame: Frame) -> Problem:
@@ -73,7 +71,6 @@ COMPRESSIBILITY = Effect(
     steps=(1e-4,),
     transform=_compressibility,
     references=("C. Tanner et al., Med. Phys. 33 (2006) 1758",),
-    held_sd=(HELD_LOG_SD,),
 )
 
 
@@ -114,7 +111,6 @@ COMPRESSIBILITY_CONTRAST = Effect(
     steps=(1e-4,),
     transform=_compressibility_contrast,
     references=("C. Tanner et al., Med. Phys. 33 (2006) 1758",),
-    odds=0.3,
 )
 
 
@@ -427,7 +423,6 @@ SKIN_ADDED = Effect(
     steps=(N_PER_M.to_inside(10.0),),
     transform=add,
     references=REFERENCES,
-    resembles_roughness=True,
     truth=renamed(skin_added_n_per_m="stiffness_n_per_m"),
 )
 

@@ -69,7 +69,6 @@ RIGID_MOTION = Effect(
     transform=unchanged_problem,
     references=("J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE TMI 17 (1998) 694",),
     observation=_rigid_motion_columns,
-    odds=0.1,
     moves_scan=True,
     about_centre=True,
 )
@@ -151,7 +150,6 @@ IMAGE_SCALE = Effect(
     transform=unchanged_problem,
     references=("D. Wang et al., Magn. Reson. Imaging 22 (2004) 1211",),
     observation=_image_scale_columns,
-    odds=0.1,
     about_centre=True,
     truth=_true_image_scale,
 )
@@ -198,7 +196,6 @@ IMAGE_SHEAR = Effect(
     transform=unchanged_problem,
     references=("D. Wang et al., Magn. Reson. Imaging 22 (2004) 1211",),
     observation=_image_shear_columns,
-    odds=0.1,
     about_centre=True,
 )
 

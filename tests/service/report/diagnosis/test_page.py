@@ -2,6 +2,7 @@
 
 import copy
 import json
+import math
 import re
 import subprocess
 import sys
@@ -12,20 +13,15 @@ import numpy as np
 import pytest
 
 from palpate.service.diagnosis.diagnosed_constants import summary_json
-from palpate.service.diagnosis.diagnosis_words import sentence
-from palpate.service.report.diagnosis.diagnosis_charts import (
-    Cause,
-    Evidence,
-    Judged,
-    evidence,
-    gaps,
-    probabilities,
-)
+from palpate.service.diagnosis.diagnosis_words import STRENGTHS, sentence, strength
+from palpate.service.report.diagnosis.diagnosis_charts import Evidence, Judged, evidence, gaps
 from palpate.service.report.diagnosis.diagnosis_page import render_diagnosis
 from palpate.service.report.diagnosis.gap_maps import gap_range_mm, residual_map
 from palpate.service.report.drawing.colours import SIGNED, ColourScale
 from palpate.service.report.drawing.svg import Svg
+from palpate.service.report.page.page_elements import DIAGNOSIS_TERMS
 from palpate.service.report.study.page_provenance import Made, Origin
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.scan_plan import REDRAWN
 from palpate.workers.organs.breast.breast_effects import CATALOGUE
 from tests.service.report.diagnosis_at_hand import VERDICTS, found, gap, nothing, summary, typed
@@ -69,19 +65,82 @@ def test_the_page_is_written_without_matplotlib() -> None:
     assert subprocess.run([sys.executable, "-c", asked], check=False).returncode == 0
 
 
-def test_verdict_names_cause_magnitude_and_held_out_gap() -> None:
-    assert sentence_of(summary()) == (
-        "Model and data differ by 0.27 mm (0.23 to 0.31) beyond the noise. The cause is plate "
-        "tilt (5.48 ± 0.27 deg, probability > 99 %). On scans not used in the fit, it "
-        "leaves nothing above the noise (at most 0.15 mm) of 0.31 mm."
+DIFFER = (
+    "Model and data differ by 0.27 mm (0.23 to 0.31) beyond the noise, most in the nipple third of "
+    "the glandular interface in the scan at 80 N (0.61 mm)."
+)
+TILT = "plate tilt (5.48 ± 0.27 deg, strong evidence)"
+HELD_OUT = (
+    "On scans not used in the fit, it leaves nothing above the noise (at most 0.15 mm) of 0.31 mm."
+)
+
+
+def test_verdict_says_where_which_and_how_far() -> None:
+    assert sentence_of(summary()) == f"{DIFFER} The cause is {TILT}. {HELD_OUT}"
+
+
+def test_worst_place_is_the_largest_significant_region() -> None:
+    def said(*regions: dict[str, Any]) -> str:
+        return sentence_of(summary(where=list(regions))).split(" beyond the noise")[1].split(".")[0]
+
+    def region(mm: float, mean: float, **changes: Any) -> dict[str, Any]:
+        told = {"scan": "40 N", "interface": "outline", "region": "middle third"}
+        told |= {"signed_mean_mm": mean, "significant": True}
+        return told | gap(mm, mm / 2, 2 * mm) | changes
+
+    assert said() == ""
+    assert said(region(0.4, 0.3, significant=False)) == ""
+    small, whole = region(0.2, -0.15), region(0.9, 0.0, region="all")
+    middle = ", most in the middle third of the outline interface in the scan at 40 N (0"
+    assert said(small, region(0.4, 0.3)) == middle
+    assert f"{middle}.40 mm, the model outside)" in sentence_of(
+        summary(where=[small, region(0.4, 0.3)])
     )
+    assert f"{middle}.20 mm, the model inside)" in sentence_of(summary(where=[whole, small]))
+    assert ", most in the outline interface in the scan at 40 N (0.90 mm)" in sentence_of(
+        summary(where=[whole])
+    )
+
+
+def test_worst_place_of_a_specimen_is_a_state() -> None:
+    def state(name: str, left_mm: float) -> dict[str, Any]:
+        left = {"before_mm": [0.0, left_mm, math.nan], "after_mm": None}
+        points = [{"name": "M", "displacement_mm": [0.0, 1.0, 2.0]} | left]
+        return {"state": name, "repeats_mm": None, "points": points}
+
+    states = [state("pulled", 0.1), state("bent", -0.4), state("twisted", 0.2)]
+    assert "beyond the noise, most in the state bent." in sentence_of(summary(markers=states))
+    assert "beyond the noise. " in sentence_of(summary(markers=states[:1], where=[]))
+
+
+@pytest.mark.parametrize(
+    ("gain", "word"),
+    [
+        (None, "–"),
+        (-3.0, "none"),
+        (10.0, "none"),
+        (10.1, "weak"),
+        (20.0, "weak"),
+        (20.1, "clear"),
+        (50.0, "clear"),
+        (50.1, "strong"),
+    ],
+)
+def test_words_for_evidence_change_at_their_thresholds(gain: float | None, word: str) -> None:
+    assert strength(gain) == word
+
+
+def test_glossary_states_the_thresholds_of_the_words() -> None:
+    ends = [SETTINGS.selection.first, *(most for _, most in STRENGTHS)]
+    numbers = [float(n) for n in re.findall(r"\d+", dict(DIAGNOSIS_TERMS)["Evidence"])]
+    assert numbers == ends
 
 
 def test_one_scan_gives_a_lead_on_terminal_page_and_record() -> None:
     assert sentence_of(VERDICTS["one scan"]) == (
-        "Model and data differ by 0.30 mm (0.20 to 0.40) beyond the noise. A lead, not a finding: "
-        "plate tilt (5.48 ± 0.27 deg, probability > 99 %). It leaves 0.10 mm (0.00 to 0.20) on the "
-        "scan used in the fit; this was not checked on other scans."
+        f"{DIFFER.replace('0.27 mm (0.23 to 0.31)', '0.30 mm (0.20 to 0.40)')} A lead, not a "
+        f"finding: {TILT}. It leaves 0.10 mm (0.00 to 0.20) on the scan used in the fit; this was "
+        "not checked on other scans."
     )
     checked = {
         name: summary_json(typed(told))["shrinkage"]["checked_on"]
@@ -101,10 +160,20 @@ def test_one_scan_gives_a_lead_on_terminal_page_and_record() -> None:
     assert "Do not quote Efat and η (it depends on a cause that is not certain)" in text
 
 
-def test_evidence_has_its_unit_and_an_unknown_cause_its_probability() -> None:
-    told = VERDICTS["none of these"] | {"none_of_these_probability": 0.93}
-    assert "another cause is most probable (93 %)." in sentence_of(told)
-    assert "nats, alarm at" in Page(render_diagnosis(found(told))).text
+def test_something_that_no_effect_explains_is_stated() -> None:
+    told = VERDICTS["none of these"] | {"gap_mm": summary()["gap_mm"] | {"after": None}}
+    assert sentence_of(told) == f"{DIFFER} No effect in the catalogue explains it."
+    text = Page(render_diagnosis(found(told))).text
+    assert "explains would gain 41.2 nats: something else acts." in text
+
+
+def test_something_else_acts_beside_the_named_effects() -> None:
+    told = summary(left_gain=17.34, something_else=True)
+    rest = "A systematic rest remains: something else acts as well."
+    assert sentence_of(told) == f"{DIFFER} The cause is {TILT}. {HELD_OUT} {rest}"
+    text = Page(render_diagnosis(found(told))).text
+    assert "would gain 17.3 nats beside the named effects: something else acts." in text
+    assert "something else acts" not in Page(render_diagnosis(found())).text
 
 
 def test_a_second_segmentation_is_drawn_not_measured() -> None:
@@ -120,19 +189,6 @@ def test_a_state_of_a_specimen_is_no_scan() -> None:
     )
 
 
-def test_reports_a_remaining_gap_and_that_only_the_first_cause_is_certain() -> None:
-    record = summary(primary=["plate_tilt", "plate_force"])
-    record["gap_mm"] = VERDICTS["one scan"]["gap_mm"] | {"after": gap(0.3, 0.2, 0.4)}
-    text = sentence_of(record)
-    assert ": plate tilt (5.48 ± 0.27 deg, probability > 99 %), perhaps with" in text
-    assert "It leaves 0.30 mm (0.20 to 0.40)" in text
-    assert text.endswith(
-        "A complete model would leave at most 0.09 mm: another cause acts as well."
-    )
-    record["gap_mm"] = VERDICTS["one scan"]["gap_mm"] | {"after": gap(0.3, 0.04, 0.5)}
-    assert "another cause" not in sentence_of(record)
-
-
 def test_reports_a_systematic_residual_below_noise() -> None:
     gap = summary()["gap_mm"]
     gap["before"] = gap["held_out_before"] = gap["before"] | {"gap_mm": 0.0, "low_mm": 0.0}
@@ -141,41 +197,22 @@ def test_reports_a_systematic_residual_below_noise() -> None:
     assert said.endswith("leaves nothing above the noise (at most 0.15 mm).")
 
 
-def test_reports_supported_but_absorbed_effect() -> None:
-    def said(probability: float) -> str:
-        changed = copy.deepcopy(summary())
-        (force,) = (one for one in changed["effects"] if one["name"] == "plate_force")
-        force |= {"probability": probability, "magnitude": 0.431, "sd": 0.064}
-        return sentence_of(changed).removeprefix(sentence_of(summary()))
-
-    assert said(0.6) == ""
-    assert said(0.95) == (
-        " The scans support plate force (0.431 ± 0.064, probability 95 %), but the fitted "
-        "constants can almost mimic it; confirm it with an independent measurement."
-    )
-
-
-def test_reports_wrong_or_uneven_noise() -> None:
-    def said(stated: float, learnt: float, least: float, most: float) -> str:
+def test_reports_wrong_noise() -> None:
+    def said(stated: float, learnt: float) -> str:
         noise = {"interface": "outline", "stated_mm": stated, "learnt_mm": learnt}
-        ends = {"least_mm": least, "most_mm": most}
-        return sentence_of(summary(noise=[noise | ends])).removeprefix(sentence_of(summary()))
+        return sentence_of(summary(noise=[noise])).removeprefix(sentence_of(summary()))
 
-    assert said(0.3, 0.35, 0.30, 0.40) == ""
-    assert said(0.2, 0.3, 0.28, 0.32) == (
+    assert said(0.3, 0.35) == ""
+    assert said(0.2, 0.3) == (
         " The noise of the outline interface is set too small: 0.20 mm, but its residuals "
         "show 0.30 mm."
     )
-    assert said(0.3, 0.3, 0.22, 0.41) == (
-        " The outline interface is segmented less accurately in one part of the body than in "
-        "another: its noise is 0.22 to 0.41 mm."
-    )
+    assert "is set too large: 0.40 mm" in said(0.4, 0.3)
 
 
 def test_wrong_noise_is_warning_outside_headline() -> None:
     noise = {"interface": "outline", "stated_mm": 0.2, "learnt_mm": 0.3}
-    even = {"least_mm": 0.3, "most_mm": 0.3}
-    shown = render_diagnosis(found(summary(noise=[noise | even])))
+    shown = render_diagnosis(found(summary(noise=[noise])))
     (warned,) = re.findall(r'<p class="note warn">([^<]*)</p>', shown)
     assert warned.startswith("The noise of the outline interface is set too small")
     assert shown.count("set too small") == 1
@@ -196,20 +233,46 @@ def test_reports_gap_of_micrometres() -> None:
     assert told.startswith("The residual is below the noise level but systematic")
 
 
-def test_two_effects_at_once_are_both_named() -> None:
-    both = sentence_of(summary(primary=["plate_tilt", "plate_flex"]))
-    assert "The cause is plate tilt (5.48 ± 0.27 deg, probability > 99 %) and plate flex (" in both
+def with_second_cause() -> dict[str, Any]:
+    """Return a diagnosis of a tilt and a flexing plate, which alone gains nothing."""
+    told = copy.deepcopy(summary(primary=["plate_tilt", "plate_flex"]))
+    told["refits"][2]["log_evidence_gain"] = 160.0
+    (flex,) = (one for one in told["effects"] if one["name"] == "plate_flex")
+    flex["gain"] = 1.5
+    return told
+
+
+def test_a_further_cause_has_the_evidence_that_it_adds() -> None:
+    told = with_second_cause()
+    causes = f"The causes are {TILT} and plate flex (8.0 ± 1.0 mm, clear evidence)."
+    assert causes in sentence_of(told)
+    row = Page(render_diagnosis(found(told))).row("plate flexplate geometry")
+    assert (row[1], row[3]) == ("clear", "32.8")
+    told["refits"] = told["refits"][:2]
+    assert "plate flex (8.0 ± 1.0 mm)." in sentence_of(told)
+
+
+def test_a_residual_that_no_effect_explains_is_no_agreement() -> None:
+    told = nothing("no-gap")
+    told["gap_mm"] = told["gap_mm"] | {"before": gap(0.12, 0.08, 0.15)}
+    said = sentence_of(told)
+    assert said.startswith("Model and data differ by 0.12 mm (0.08 to 0.15) beyond the noise")
+    assert said.endswith("It is too small or too irregular to name a cause.")
 
 
 @pytest.mark.parametrize(
     ("which", "said"),
     [
-        ("no gap", "A gap larger than 0.11 mm is unlikely."),
-        ("none of these", "no effect in the catalogue explains it"),
+        (
+            "no gap",
+            "Model and data agree: the residual is no larger than the noise. A gap larger than "
+            "0.11 mm is unlikely.",
+        ),
+        ("none of these", "No effect in the catalogue explains it."),
         (
             "not told apart",
-            "cannot decide which of plate tilt and plate flex is the cause; plate tilt is most "
-            "probable.",
+            "These scans cannot decide: plate tilt and plate flex explain it almost equally well; "
+            f"the best is {TILT}. {HELD_OUT}",
         ),
     ],
 )
@@ -217,13 +280,26 @@ def test_each_verdict_has_its_sentence(which: str, said: str) -> None:
     assert said in sentence_of(VERDICTS[which])
 
 
+def test_no_gap_shows_what_would_have_been_seen() -> None:
+    said = (
+        "These scans would have shown, from this size on: plate flex 2 mm and plate tilt 1.3 deg."
+    )
+    silent = Page(render_diagnosis(found(VERDICTS["no gap"])))
+    assert said in silent.text
+    assert silent.row("plate tiltplate geometry")[3:] == ["–", "1.3 deg", "1 %"]
+    assert "These scans would have shown" not in Page(render_diagnosis(found())).text
+
+
 def test_absorbed_effects_are_last_and_grey(source: str, page: Page) -> None:
+    heading = ["Effect", "Evidence", "Magnitude", "Gain, nats", "Seen from"]
+    assert [*heading, "Absorbed by constants"] in page.cells
     tilt = page.row("plate tiltplate geometry")
-    assert tilt[1] == "> 99 %"
+    assert tilt[1] == "strong"
     assert tilt[2].startswith("tilt depth 5.48 ± 0.27 degtilt across −0.04 ± 0.12 deg")
-    assert tilt[3:] == ["> 1000", "1 %"]
+    assert tilt[3:] == ["127.2", "1.3 deg", "1 %"]
     hidden = page.row("plate forceloading")
     assert hidden[1] == "–"
+    assert hidden[3:] == ["–", "–", "99 %"]
     assert "the constants absorb 99 % of it" in hidden[2]
     order = [row[0] for row in page.cells if row[0].startswith("plate ")]
     assert order[:3] == [
@@ -239,6 +315,7 @@ def test_absorbed_effects_are_last_and_grey(source: str, page: Page) -> None:
 def test_constants_are_shown_without_and_with_the_effect(page: Page) -> None:
     assert page.row("Efat") == ["Efat", "10", "11", "10.7 … 11.3", "+10.0 %", "kPa", "yes"]
     alone = Page(render_diagnosis(found(VERDICTS["no gap"])))
+    assert "no effect would gain enough to be fitted" in alone.text
     assert alone.row("Efat") == ["Efat", "10", "–", "9.8 … 10.2", "–", "kPa", "yes"]
 
 
@@ -267,18 +344,10 @@ def test_counts_points_left_out(page: Page) -> None:
     assert note in Page(render_diagnosis(found(record))).text
 
 
-def test_the_set_of_several_causes_names_their_family() -> None:
+def test_causes_that_cannot_be_told_apart_need_another_scan() -> None:
     text = Page(render_diagnosis(found(VERDICTS["not told apart"]))).text
-    assert "Plate tilt, plate flex and no gap account for 90 % of the probability." in text
-    assert "The most probable family is plate geometry (> 99 %)." in text
-
-
-def test_omits_improbable_family() -> None:
-    told = VERDICTS["not told apart"]
-    faint = dict.fromkeys(told["families"], 0.06)
-    assert (
-        "most probable family" not in Page(render_diagnosis(found(told | {"families": faint}))).text
-    )
+    assert "These scans cannot decide between the causes. Run “palpate plan”" in text
+    assert "Effects within 5 nats of the best cannot be told apart." in text
 
 
 def test_headline_lengths_agree_with_tiles() -> None:
@@ -423,10 +492,33 @@ def test_evidence_stacks_the_field_only_where_it_helps() -> None:
     assert [(x - zero) / per_nat for x in less[1:]] == pytest.approx([-2.0, 0.0], abs=0.05)
 
 
-def test_causes_in_90_percent_set_are_coloured() -> None:
-    rows = [Cause("tilt", 0.7, True), Cause("flex", 0.25, True), Cause("no gap", 0.05, False)]
-    colours = [bar[0] for bar in rects(probabilities(rows, 980.0))]
-    assert colours == ["bar-after", "bar-after", "bar-before"]
+def test_evidence_has_a_line_at_the_threshold_of_a_cause() -> None:
+    drawn = evidence([Evidence("tilt", 14.0, None)], 7.0, 980.0)
+    ((_, zero, end),) = rects(drawn)
+    (limit,) = [p for p in drawn.parts if 'class="limit" d="M' in p and "V" in p]
+    at = float(re.findall(r'd="M([\d.]+)', limit)[0])
+    assert at == pytest.approx((zero + end) / 2, abs=0.1)
+
+
+def test_legend_names_the_field_only_where_it_is_drawn() -> None:
+    for field, shown in ((None, False), (-1.0, False), (12.0, True)):
+        drawn = evidence([Evidence("tilt", 14.0, field)], 7.0, 980.0)
+        assert ("left for something else" in "".join(drawn.parts)) is shown
+
+
+def test_the_threshold_does_not_cross_titles_on_narrow_pages() -> None:
+    rows = [Evidence("tilt", 14.0, None), Evidence("flex", 9.0, None)]
+    drawn = evidence(rows, 7.0, 400.0)
+    titles = [
+        float(text.get("y", 0))
+        for text in ElementTree.fromstring(str(drawn.markup("bars"))).iter("text")
+        if text.text in ("tilt", "flex")
+    ]
+    (limit,) = [p for p in drawn.parts if 'class="limit" d="M' in p and "V" in p]
+    spans = re.findall(r"M[\d.]+ ([\d.]+)V([\d.]+)", limit)
+    assert len(titles) == len(spans) == 2
+    for y in titles:
+        assert not any(float(start) < y < float(end) for start, end in spans)
 
 
 def test_colours_show_sign_and_noise() -> None:
@@ -469,5 +561,5 @@ def test_colour_scale_covers_significant_residuals() -> None:
 
 
 def test_no_evidence_chart_without_refits() -> None:
-    assert "Evidence of the refits" not in render_diagnosis(found(nothing("no-gap")))
-    assert "Evidence of the refits" in render_diagnosis(found())
+    assert "Log evidence gained" not in render_diagnosis(found(nothing("no-gap")))
+    assert "Log evidence gained" in render_diagnosis(found())

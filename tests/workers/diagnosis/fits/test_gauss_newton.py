@@ -13,7 +13,7 @@ from palpate.workers.comparison.observation.segmentation_noise import Segmentati
 from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis
 from palpate.workers.diagnosis.fits.effect_sensitivities import joined_sensitivity, scan_sensitivity
 from palpate.workers.diagnosis.fits.gauss_newton import SolvedFit, fit
-from palpate.workers.diagnosis.noise.noise_components import NoiseParts, believed
+from palpate.workers.diagnosis.noise.noise_components import LearntNoise
 from palpate.workers.diagnosis.problem.inverse_problem import (
     FreeConstant,
     InverseProblem,
@@ -147,8 +147,7 @@ def lying_elsewhere(inverse: InverseProblem, shift_mm: FloatArray) -> InversePro
 
     m = len(inverse.bias)
     stated, none = 0.01 * np.eye(m), np.zeros((m, 0))
-    parts = NoiseParts((stated,), (1.0,), np.zeros(m, np.int32), none, none)
-    learnt = believed(parts)
+    learnt = LearntNoise(stated, np.zeros(m, np.int32), none, none, np.ones(1))
     scans = [compress(scan) for scan in inverse.scans]
     return replace(inverse, scans=scans, learnt=learnt, covariance=learnt.covariance)
 

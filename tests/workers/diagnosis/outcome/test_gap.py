@@ -9,11 +9,6 @@ from palpate.storage.errors import InputError
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.linearisation import LinearFit
 from palpate.workers.diagnosis.outcome import gap_and_shrinkage as shrinkages
-from palpate.workers.diagnosis.outcome.diagnosis_summary import (
-    GapEstimate,
-    GapSummary,
-    ShareEstimate,
-)
 from palpate.workers.diagnosis.outcome.gap_and_shrinkage import (
     Comparison,
     Gap,
@@ -21,7 +16,6 @@ from palpate.workers.diagnosis.outcome.gap_and_shrinkage import (
     gap,
     pooled,
 )
-from palpate.workers.diagnosis.outcome.summarising import known_shares
 from palpate.workers.mechanics.effects.observation_effects import rigid_columns
 from tests.workers.diagnosis.linear_world import catalogue, layout, mode, nominal_problem, observed
 
@@ -119,14 +113,6 @@ def test_fit_is_the_generalised_least_squares_solution():
     assert fit.step * problem.nominal_sd == pytest.approx(step, rel=1e-8)
     expected = problem.residual[HIGH] + problem.nominal[HIGH] @ step
     assert fit.residual == pytest.approx(expected, abs=1e-10)
-
-
-def test_without_a_fit_the_excess_is_relative_to_the_noise():
-    problem = observed(nominal_problem(), np.random.default_rng(36), known_gap())
-    found = gap(LinearFit(problem, fitted=False))
-    expected = np.mean(problem.residual**2) - np.trace(problem.covariance) / problem.size
-    assert found.excess_mm2 == pytest.approx(expected, rel=1e-10)
-    assert found.noise_mm == pytest.approx(np.sqrt(np.trace(problem.covariance) / problem.size))
 
 
 def test_excesses_of_subsets_add_up():
@@ -282,17 +268,6 @@ def test_unconstrained_states_are_not_assessed():
         nominal.freed(own, np.ones(2)), nominal_offset=np.append(nominal.nominal_offset, [2.0, 2.0])
     )
     assert Comparison(nominal, each, 1, draws=20).unseen(STATE) == (None, [None, None])
-
-
-def test_share_is_omitted_if_there_may_be_no_gap():
-    gaps = [GapEstimate(mm, 0.8 * mm, 1.2 * mm, 0.25, 800) for mm in (0.15, 0.08)]
-    share = ShareEstimate(0.7, 0.4, 0.9)
-    whole = GapSummary(gaps[0], 0.25, 0.06, gaps[1], *gaps, share=share, held_out_share=share)
-    assert known_shares(whole, ("plate_tilt", "none-of-these")) == whole
-    doubtful = known_shares(whole, ("plate_tilt", "no-gap"))
-    assert doubtful.share is None
-    assert doubtful.held_out_share is None
-    assert doubtful.held_out_after == gaps[1]
 
 
 def test_an_uncertain_floor_widens_the_interval_of_the_share(monkeypatch):

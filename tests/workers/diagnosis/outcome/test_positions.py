@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from palpate.workers.diagnosis.outcome import summarising
-from palpate.workers.diagnosis.outcome.averaged_posteriors import ParameterPosterior
 from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant
 from palpate.workers.mechanics.effects.effect import Effect
 from palpate.workers.mechanics.effects.local_stiffness_effects import INCLUSION
@@ -21,17 +20,15 @@ CENTRE_MM = (100.0, -20.0, 22.5)
 def test_stiffness_intervals_include_the_difference_between_solvers(
     segmented: bool, between: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    posterior = ParameterPosterior(np.log([0.011, 2.0]), np.array([0.02, 0.03]))
-    monkeypatch.setattr(summarising, "parameter_posterior", lambda *_: posterior)
+    monkeypatch.setattr(summarising, "_parameter_sd", lambda *_: np.array([0.02, 0.03]))
     free = (FreeConstant("E", 0.001, 0.1), FreeConstant("b", 0.1, 10.0, NUMBER))
-    fit: Any = SimpleNamespace(unknowns=SimpleNamespace(free=free), z=np.log([0.010, 2.1]))
+    fit: Any = SimpleNamespace(unknowns=SimpleNamespace(free=free), z=np.log([0.010, 2.0]))
     inverse = SimpleNamespace(is_segmented=segmented)
-    analysis = SimpleNamespace(coarse_noise=None, hypothesis=lambda fit: None, inverse=inverse)
-    diagnosis: Any = SimpleNamespace(analysis=analysis)
+    diagnosis: Any = SimpleNamespace(analysis=SimpleNamespace(inverse=inverse))
     found = summarising._intervals(diagnosis, fit)
     reach = np.exp(1.6449 * np.hypot(0.02, between))
-    assert found["E"] == pytest.approx((0.010 / reach, 0.011 * reach))
-    assert found["b"] == pytest.approx((2.0 / np.exp(1.6449 * 0.03), 2.1 * np.exp(1.6449 * 0.03)))
+    assert found["E"] == pytest.approx((0.010 / reach, 0.010 * reach))
+    assert found["b"] == pytest.approx((2.0 / np.exp(1.6449 * 0.03), 2.0 * np.exp(1.6449 * 0.03)))
 
 
 @pytest.mark.parametrize(
@@ -42,13 +39,12 @@ def test_position_is_the_offset_from_the_middle_of_the_body(
 ) -> None:
     fitted = dict.fromkeys((p.name for p in effect.parameters), 1.0)
     fitted |= {f"{stem}_x": 3.0, f"{stem}_y": 4.0, f"{stem}_z": -7.2}
-    posterior = ParameterPosterior(np.array(list(fitted.values())), np.full(len(fitted), 0.5))
-    monkeypatch.setattr(summarising, "parameter_posterior", lambda *_: posterior)
-    fit = SimpleNamespace(unknowns=SimpleNamespace(names=tuple(fitted)))
+    monkeypatch.setattr(summarising, "_parameter_sd", lambda *_: np.full(len(fitted), 0.5))
+    z = np.array(list(fitted.values()))
+    fit = SimpleNamespace(unknowns=SimpleNamespace(names=tuple(fitted)), z=z)
+    frame = SimpleNamespace(centre_mm=CENTRE_MM)
     analysis = SimpleNamespace(
-        coarse_noise=None,
-        hypothesis=lambda fit: None,
-        inverse=SimpleNamespace(frame=SimpleNamespace(centre_mm=CENTRE_MM)),
+        inverse=SimpleNamespace(frame=frame, is_segmented=True),
         screening_by_name={effect.name: SimpleNamespace(estimate=())},
     )
     joint_fits = {(effect.name,): SimpleNamespace(fit=fit)}

@@ -1,35 +1,40 @@
-"""Selection of effects for joint fits."""
+"""Selection of effects for joint fits, and the requests of a whole course."""
 
+from collections.abc import Callable, Mapping, Sequence
 from types import MethodType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis, ScreeningResult
 from palpate.workers.diagnosis.linearisation import EffectSensitivity
+from palpate.workers.diagnosis.verdict import diagnosis_course
 from palpate.workers.diagnosis.verdict.diagnosis_course import (
     Diagnosis,
     advance,
+    base_of,
     diagnose,
-    pairs,
+    extensions,
     suspects,
-    triples,
-    unfitted,
-    weigh,
 )
-from palpate.workers.diagnosis.verdict.hypotheses import Hypothesis
 from palpate.workers.organs.breast.breast_effects import CATALOGUE
 
 effect = CATALOGUE.named
 EDGE_SD_MM = 5.0
 RNG = np.random.default_rng(3)
 PATTERN = RNG.standard_normal(30)
+FIRST, FURTHER = SETTINGS.selection.first, SETTINGS.selection.further
 
 
-def screened(name: str, nats: float, estimate: float = 1.0) -> ScreeningResult:
+def screened(
+    name: str, nats: float, estimate: float = 1.0, *, hides: bool = False
+) -> ScreeningResult:
     one = np.array([estimate])
-    return ScreeningResult(name, nats, one, one, nats, 0.0, False, 0, one)
+    return ScreeningResult(name, nats, one, one, nats, 0.0, hides, 0, one)
 
 
 def sensitivity(name: str, large: float, small: float) -> EffectSensitivity:
@@ -82,191 +87,215 @@ def test_only_the_five_strongest_effects_are_fitted_otherwise(
     assert named(louder, edge, large, 1.0) == loud[:5]
 
 
-@pytest.mark.parametrize("simulated", [True, False])
-def test_every_named_effect_is_fitted(monkeypatch, simulated: bool) -> None:
-    """An effect missed by screening but named by the verdict is fitted once and weighed again."""
-    known = [effect("plate_tilt"), effect("rigid_motion")]
-    fitted_at_weighing = []
-
-    def weighed_up(analysis, known, joint_fits):
-        fitted_at_weighing.append(set(joint_fits))
-        hypotheses = {(("rigid_motion",), False): 0.9}
-        return SimpleNamespace(
-            kind="effect", primary=("rigid_motion",), hidden=(), hypotheses=hypotheses
-        ), ()
-
-    analysis: Any = SimpleNamespace(screening=[], sensitivities=[])
-    monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.diagnosis_course._weighed_up", weighed_up
-    )
-    course = diagnose(analysis, known)
-    wanted = advance(course)
-    assert wanted == [(known[1],)]
-    answer: Any = [SimpleNamespace(names=("rigid_motion",)) if simulated else None]
-    reached = advance(course, answer)
-    assert isinstance(reached, Diagnosis)
-    assert fitted_at_weighing == [set(), {("rigid_motion",)} if simulated else set()]
-    assert set(reached.joint_fits) == fitted_at_weighing[1]
+Names = tuple[str, ...]
+Supports = Mapping[str, float]
 
 
-def test_every_visible_effect_is_fitted_before_none_of_these(monkeypatch) -> None:
-    known = [effect("plate_tilt"), effect("skin_added")]
-    weak = screened("skin_added", 0.0, 1.0)
+def fake_fit(names: Names, gain: float) -> Any:
+    """Return a fit whose linearisation, with parameters at bounds held, is its names."""
 
-    def weighed_up(analysis, known, joint_fits):
-        weighed = dict.fromkeys(((names, False) for names in joint_fits), 0.5)
-        kind = "effect" if ("skin_added",) in joint_fits else "none-of-these"
-        return SimpleNamespace(kind=kind, primary=(), hidden=(), hypotheses=weighed), ()
-
-    analysis: Any = SimpleNamespace(screening=[weak], sensitivities=[])
-    for name in ("suspects", "pairs", "triples"):
-        monkeypatch.setattr(
-            f"palpate.workers.diagnosis.verdict.diagnosis_course.{name}", lambda *_: []
-        )
-    monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.diagnosis_course._weighed_up", weighed_up
-    )
-    course = diagnose(analysis, known)
-    assert advance(course) == [(known[1],)]
-    answer: Any = [SimpleNamespace(names=("skin_added",))]
-    reached = advance(course, answer)
-    assert isinstance(reached, Diagnosis) and reached.verdict.kind == "effect"
-
-
-def joint_fit(names: str, log_evidence: float) -> Any:
-    """Return a fit of one to three effects."""
-    found = fitted("plate_tilt", log_evidence)
-    found.names = tuple(names.split())
-    found.effects = tuple(effect(name) for name in found.names)
-    found.fit.linearised = lambda inverse: Left(found.names)
-    return found
-
-
-@pytest.fixture
-def supported(monkeypatch) -> tuple[Any, dict[str, Any]]:
-    """An analysis in which the residuals of every fit support a skin, and the catalogue."""
-    monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.diagnosis_course.screen",
-        lambda *_: [screened("skin_added", 30.0)],
-    )
-    monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.diagnosis_course._is_unexplained", lambda *_: True
-    )
-    analysis = SimpleNamespace(sensitivities=[], inverse=SimpleNamespace(coarsening=0.3))
-    known = {name: effect(name) for name in ("plate_tilt", "growth", "creep", "skin_added")}
-    return analysis, known
-
-
-def test_two_effects_extend_single_ones(supported) -> None:
-    """Fits of two and three effects are known when all visible effects are fitted."""
-    found = [{one.name for one in effects} for effects in pairs(*supported, FITS)]
-    assert found == [{"plate_tilt", "skin_added"}, {"plate_tilt", "creep"}]
-
-
-def test_three_effects_extend_the_best_two(supported) -> None:
-    """The best three are not extended, because a hypothesis has at most three effects."""
-    (found,) = triples(*supported, FITS)
-    assert [one.name for one in found] == ["plate_tilt", "growth", "skin_added"]
-    assert triples(*supported, [joint_fit("growth", 90.0), *FITS]) == []
-
-
-@pytest.mark.parametrize("zeta", [1.0, 0.3])
-def test_every_nat_of_evidence_counts_zeta(monkeypatch, zeta: float) -> None:
-    evidence = {(): Hypothesis((), -90.0, 20.0), ("growth",): Hypothesis(("growth",), -40.0)}
-    monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.diagnosis_course.JointEvidence",
-        lambda *_: SimpleNamespace(hypothesis=evidence.__getitem__),
-    )
-    analysis: Any = SimpleNamespace(
-        hypothesis=lambda fit: None,
-        nominal=None,
-        noise=None,
-        sensitivities=[sensitivity("growth", 1.0, 1.0)],
-        inverse=SimpleNamespace(coarsening=zeta),
-    )
-    nothing, growth = weigh(analysis, {})
-    assert growth.log_evidence - nothing.log_evidence == pytest.approx(50 * zeta)
-    assert nothing.discrepancy_gain == pytest.approx(20 * zeta)
-    assert growth.discrepancy_gain is None
-
-
-def test_supported_hidden_effects_are_fitted():
-    """They are fitted alone and with the likeliest visible effect; creep is too improbable."""
-    reached: Any = SimpleNamespace(
-        primary=("growth",),
-        hidden=("plate_force", "creep"),
-        probabilities={"plate_force": 0.4, "creep": 0.05, "growth": 0.5},
-        hypotheses={(("plate_tilt",), False): 0.01, (("growth",), False): 0.5},
-    )
-    pair = ("plate_tilt", "growth")
-    wanted = unfitted(reached, [("plate_tilt",), ("growth",), pair])
-    assert wanted == [("plate_force",), ("growth", "plate_force")]
-    assert unfitted(reached, [("plate_tilt",), pair, *wanted]) == [("plate_tilt", "plate_force")]
-    assert unfitted(reached, []) == [("growth",), ("plate_force",)]
-
-
-class Left:
-    """Residuals of a joint fit, passed to `screen` with the parameters at bounds held."""
-
-    def __init__(self, names: tuple[str, ...]) -> None:
-        self.names = names
-
-    def holding(self, which: Any) -> tuple[str, ...]:
+    def holding(which: Any) -> Names:
         assert which.tolist() == [True, False]
-        return self.names
+        return names
+
+    at = SimpleNamespace(
+        at_bound=np.array([-1, 0]),
+        linearised=lambda inverse: SimpleNamespace(holding=holding),
+        names=names,
+    )
+    effects = tuple(SimpleNamespace(name=name) for name in names)
+    return SimpleNamespace(names=names, effects=effects, fit=at, log_evidence=100.0 + gain)
 
 
-def fitted(name: str, log_evidence: float) -> Any:
-    at = SimpleNamespace(at_bound=np.array([-1, 0]), linearised=lambda inverse: Left((name,)))
+def analysed(
+    screening: Supports, hidden: Sequence[str] = (), left: Callable[[Names], float] | float = 0.0
+) -> Any:
+    """Return an analysis with evidence of 100 nats and fake effects."""
+    found = [screened(name, nats, hides=name in hidden) for name, nats in screening.items()]
+    gain = left if callable(left) else lambda names: left
     return SimpleNamespace(
-        names=(name,), effects=(effect(name),), fit=at, log_evidence=log_evidence
+        screening=sorted(found, key=lambda one: -one.log_bayes_factor),
+        sensitivities=[SimpleNamespace(name=name) for name in screening],
+        hidden=set(hidden),
+        log_evidence=100.0,
+        nominal=SimpleNamespace(names=()),
+        inverse=None,
+        is_steep=lambda effect: False,
+        field_gain=lambda fit: gain(fit.names),
     )
 
 
-FITS = [
-    joint_fit("plate_tilt", 50.0),
-    joint_fit("creep", 40.0),
-    joint_fit("plate_tilt growth", 80.0),
-    joint_fit("plate_tilt growth creep", 120.0),
-]
+def run(
+    analysis: Any,
+    gains: Callable[[frozenset[str]], float | None],
+    left_to: Callable[[Names, str], float],
+    monkeypatch: pytest.MonkeyPatch,
+) -> tuple[Diagnosis, list[list[Names]]]:
+    """Run a course with fake fits; return its end and its requests.
 
+    `gains` returns None for a combination that cannot be simulated; `left_to` is the support that
+    the residuals of a fit give to another effect.
+    """
 
-@pytest.mark.parametrize(
-    ("left", "unexplained", "expected"),
-    [
-        # The remainder of the best single effect supports a pair better than any other could be.
-        (
-            {"plate_tilt": {"growth": 40.0}, "skin_added": {"growth": 45.0}},
-            False,
-            [("plate_tilt", "growth")],
-        ),
-        # Another effect leaves more, so its pairs come first, each once. 9 nats are too few.
-        (
-            {
-                "plate_tilt": {"growth": 20.0, "skin_added": 14.0, "creep": 9.0},
-                "skin_added": {"growth": 60.0, "plate_tilt": 35.0, "creep": 25.0},
-            },
-            False,
-            [("skin_added", "growth"), ("plate_tilt", "skin_added"), ("plate_tilt", "growth")],
-        ),
-        # The best effect leaves nothing, so there is no pair, although others leave much.
-        ({"plate_tilt": {}, "skin_added": {"growth": 60.0}}, False, []),
-        # The exception is when a smooth field explains the residuals.
-        ({"plate_tilt": {}, "skin_added": {}}, True, [("plate_tilt", "skin_added")]),
-    ],
-)
-def test_fits_the_most_promising_pairs(monkeypatch, left, unexplained, expected) -> None:
-    """Two effects, 10 nats apart, were fitted alone; `left` is the gain each leaves to others."""
-
-    def screen(names: tuple[str, ...], sensitivities: Any) -> list[ScreeningResult]:
-        found = [screened(name, nats) for name, nats in left[names[0]].items()]
+    def screen(names: Names, sensitivities: Any) -> list[ScreeningResult]:
+        found = [screened(one.name, left_to(names, one.name)) for one in sensitivities]
         return sorted(found, key=lambda one: -one.log_bayes_factor)
 
-    monkeypatch.setattr("palpate.workers.diagnosis.verdict.diagnosis_course.screen", screen)
-    monkeypatch.setattr(
-        "palpate.workers.diagnosis.verdict.diagnosis_course._is_unexplained", lambda *_: unexplained
+    monkeypatch.setattr(diagnosis_course, "screen", screen)
+    known: Any = [SimpleNamespace(name=one.name) for one in analysis.screening]
+    course, requests = diagnose(analysis, known), []
+    reached = advance(course)
+    while not isinstance(reached, Diagnosis):
+        names = [tuple(e.name for e in effects) for effects in reached]
+        requests.append(names)
+        answer: Any = []
+        for who in names:
+            gain = gains(frozenset(who))
+            answer.append(None if gain is None else fake_fit(who, gain))
+        reached = advance(course, answer)
+    return reached, requests
+
+
+def table(
+    gains: Mapping[str, float | None], otherwise: float = 0.0
+) -> Callable[[frozenset[str]], float | None]:
+    """Return the gains of combinations, which are written as words."""
+    of = {frozenset(who.split()): gain for who, gain in gains.items()}
+    return lambda names: of.get(names, otherwise)
+
+
+def loud(names: Names, other: str) -> float:
+    return 30.0
+
+
+def silent(names: Names, other: str) -> float:
+    return SETTINGS.joint_fits.second_gain
+
+
+def test_nothing_is_fitted_if_nothing_gains(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analysed({"a": SETTINGS.joint_fits.least_gain, "b": -2.0})
+    found, requests = run(analysis, table({}), loud, monkeypatch)
+    assert requests == []
+    assert found.verdict.kind == "no-gap"
+    assert found.best is None
+
+
+def test_extends_the_best_effect_until_nothing_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    gains = table({"a": 20.0, "b": 50.0, "c": 10.0, "b c": 90.0, "b a": 55.0}, 80.0)
+    support = {("b",): {"a": 9.0, "c": 40.0}}
+
+    def left(names: Names, other: str) -> float:
+        return support.get(names, {}).get(other, 0.0)
+
+    found, requests = run(analysed({"a": 30.0, "b": 20.0, "c": 5.0}), gains, left, monkeypatch)
+    assert requests == [[("a",), ("b",), ("c",)], [("b", "c"), ("b", "a")]]
+    assert found.verdict.primary == ("b", "c")
+    assert found.best is found.joint_fits["b", "c"]
+    assert found.gain(("b", "c")) == pytest.approx(90.0)
+
+
+def test_stops_at_three_effects(monkeypatch: pytest.MonkeyPatch) -> None:
+    screening = dict.fromkeys("abcde", 20.0)
+    found, requests = run(analysed(screening), lambda who: 40.0 * len(who), loud, monkeypatch)
+    assert found.verdict.primary == ("a", "b", "c")
+    assert requests == [
+        [("a",), ("b",), ("c",), ("d",), ("e",)],
+        [("a", "b"), ("a", "c"), ("a", "d")],
+        [("a", "b", "c"), ("a", "b", "d"), ("a", "b", "e")],
+    ]
+
+
+def test_stops_if_no_pair_is_better(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, requests = run(
+        analysed({"a": 20.0, "b": 10.0}), table({"a": 30.0}, 30.0 + FURTHER), loud, monkeypatch
     )
-    analysis: Any = SimpleNamespace(sensitivities=[], inverse=SimpleNamespace(coarsening=0.3))
-    known = {name: effect(name) for name in ("plate_tilt", "skin_added", "growth", "creep")}
-    found = pairs(analysis, known, [fitted("skin_added", 90.0), fitted("plate_tilt", 100.0)])
-    assert [tuple(one.name for one in pair) for pair in found] == expected
+    assert requests == [[("a",), ("b",)], [("b", "a")]]
+    assert found.verdict.primary == ("b",)
+
+
+def test_weak_support_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    gains = table({"a": 30.0, "b": 10.0})
+    found, requests = run(analysed({"a": 20.0, "b": 10.0}), gains, silent, monkeypatch)
+    assert requests == [[("a",), ("b",)]]
+    assert found.verdict.kind == "effect"
+
+
+def test_every_visible_effect_is_fitted_before_none_of_these(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Screening missed the effect that acts, which then has a partner."""
+    screening = {"a": 5.0, "missed": -3.0, "hidden": 90.0, "b": 0.0}
+    analysis = analysed(screening, ["hidden"], left=lambda names: 5.0 if names else 40.0)
+    gains = table({"a": 2.0, "missed": 60.0, "missed b": 90.0})
+    found, requests = run(analysis, gains, loud, monkeypatch)
+    assert requests == [
+        [("a",)],
+        [("b",), ("missed",)],
+        [("missed", "a"), ("missed", "b")],
+        [("missed", "b", "a")],
+    ]
+    assert found.verdict.kind == "effect"
+    assert found.verdict.primary == ("missed", "b")
+    assert found.verdict.hidden == ("hidden",)
+
+
+def test_a_field_larger_than_the_named_effect_asks_for_every_effect(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    analysis = analysed({"a": 50.0, "b": 0.0}, left=60.0)
+    found, requests = run(analysis, table({"a": 40.0}), silent, monkeypatch)
+    assert requests == [[("a",)], [("b",)]]
+    assert found.verdict.kind == "none-of-these"
+    assert found.best is None
+
+
+def test_a_failed_fit_is_not_requested_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analysed({"a": 50.0, "b": 20.0, "c": 0.0}, left=99.0)
+    gains = table({"a": 40.0, "b": None, "a c": None, "a b": None, "c": 1.0})
+    found, requests = run(analysis, gains, loud, monkeypatch)
+    assert requests == [[("a",), ("b",)], [("a", "b"), ("a", "c")], [("c",)]]
+    assert set(found.joint_fits) == {("a",), ("c",)}
+
+
+def test_extensions_exclude_hidden_effects(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        diagnosis_course, "screen", lambda at, others: [screened(o.name, 50.0) for o in others]
+    )
+    analysis = analysed({"a": 20.0, "b": 20.0, "c": 20.0}, ["b"])
+    known: Any = {name: SimpleNamespace(name=name) for name in "abc"}
+    (found,) = extensions(analysis, known, fake_fit(("a",), 30.0))
+    assert [one.name for one in found] == ["a", "c"]
+
+
+@given(st.data())
+def test_every_course_ends_and_requests_nothing_twice(data: st.DataObject) -> None:
+    count = data.draw(st.integers(1, 6))
+    names = "abcdef"[:count]
+    nats = st.integers(-2, 15).map(lambda n: 6.0 * n)
+    screening = {name: data.draw(nats) for name in names}
+    hidden = data.draw(st.sets(st.sampled_from(names), max_size=2))
+    left = data.draw(nats)
+    drawn: dict[Any, float | None] = {}
+
+    def gains(who: frozenset[str]) -> float | None:
+        return drawn.setdefault(who, data.draw(st.one_of(st.none(), nats)))
+
+    def left_to(who: Names, other: str) -> float:
+        return drawn.setdefault((who, other), data.draw(nats)) or 0.0
+
+    with pytest.MonkeyPatch.context() as patch:
+        found, requests = run(analysed(screening, sorted(hidden), left), gains, left_to, patch)
+    asked = [frozenset(who) for some in requests for who in some]
+    assert len(set(asked)) == len(asked)
+    assert all(1 <= len(who) <= 3 and not who & hidden for who in asked)
+    assert [] not in requests
+    # Each combination extends one that has been fitted.
+    for number, some in enumerate(requests):
+        before = {frozenset(who) for earlier in requests[:number] for who in earlier}
+        bases = [base_of([SimpleNamespace(name=n) for n in who]) for who in some]
+        assert all(not base or frozenset(base) in before for base in bases)
+    if found.verdict.kind == "none-of-these":
+        assert {frozenset(name) for name in set(names) - hidden} <= set(asked)
+    if found.verdict.primary:
+        assert found.best is not None
+        assert set(found.best.names) == set(found.verdict.primary)

@@ -73,9 +73,3 @@ def test_the_verdict_names_the_cause(name: str, told_of: Callable[[str], Summary
     if truth["kind"] == "tilt":
         tilt = told.effect("plate_tilt")
         assert tilt.magnitude == pytest.approx(truth["tilt_x"], abs=3 * tilt.sd)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_cause_is_in_the_credible_set(name: str, told_of: Callable[[str], Summary]) -> None:
-    told = told_of(name)
-    assert set(CALLED[truth_of(name)["kind"]] or ["no-gap"]) <= set(told.set90)

@@ -166,9 +166,9 @@ def main():
             record |= {
                 "verdict": verdict.kind,
                 "primary": verdict.primary,
-                "set90": verdict.set90,
-                "alarm": verdict.alarm,
-                "threshold": verdict.threshold,
+                "rivals": verdict.rivals,
+                "gain": verdict.gain,
+                "left_gain": verdict.left_gain,
                 "absorbed": sorted(verdict.hidden),
             }
         record["seconds"] = round(time.perf_counter() - begin, 1)

@@ -130,7 +130,7 @@ def test_slip_of_the_moving_grip_is_found(tmp_path):
 
 
 def test_offset_of_a_load_cell_is_found(tmp_path):
-    offset_n = 0.01
+    offset_n = 0.02
     data = with_forces(described(), lambda stretch: force_n(stretch) + offset_n)
     summary = diagnosed(read_experiment(written(tmp_path, data)), tmp_path, GRIPS)
     assert summary.primary == ("load_cell_offset",)

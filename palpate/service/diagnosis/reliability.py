@@ -1,0 +1,50 @@
+"""How often a first cause was right on bodies of other solvers, by the gain of its fit.
+
+``reliability.json`` holds the counts; `tests.benchmarks.foreign_bodies` makes it from bodies that
+other solvers deformed.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from palpate.service.diagnosis.diagnosis_words import strength
+from palpate.storage.json_digests import from_json
+
+FILE = Path(__file__).with_name("reliability.json")
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Counts of the bodies whose first cause had evidence of one strength.
+
+    Parameters
+    ----------
+    word : str
+        See `strength`.
+    named, right : int
+        Bodies for which a cause was named with it, and those of them where that cause acts.
+    """
+
+    word: str
+    named: int
+    right: int
+
+
+@cache
+def bands() -> Sequence[Band]:
+    """Return the counts, the weakest evidence first."""
+    return [from_json(Band, row) for row in json.loads(FILE.read_text(encoding="utf-8"))]
+
+
+def reliability(gain: float) -> str:
+    """Return how often a cause named with such a gain was right; empty if none was."""
+    band = next((one for one in bands() if one.word == strength(gain)), None)
+    if band is None or not band.named:
+        return ""
+    return (
+        f"Of {band.named} bodies of another solver with {band.word} evidence, the cause named "
+        f"first was right in {band.right}."
+    )

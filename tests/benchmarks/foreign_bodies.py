@@ -1,0 +1,286 @@
+"""How often a diagnosis is right on bodies that other solvers deformed.
+
+    python -m tests.benchmarks.foreign_bodies OUT SET [SET ...] [--workers 2] [--reliability FILE]
+
+A SET is a folder of cases with their truths, as in ../shared/reference/gap-opened2. Each case is
+diagnosed from its case.yaml and scans alone; OUT receives one JSON file for each, and cases already
+there are not diagnosed again. The tables count alarms, first names, complete names, and intervals;
+the thresholds of the rule are set on all sets but one and applied to that one; and the rule is set
+beside the smallest residual of one fit at a time. `--reliability` writes the counts that a report
+states beside a gain.
+"""
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+# One thread for every library; read when it is loaded.
+for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(name, "1")
+
+import numpy as np  # noqa: E402
+import typer  # noqa: E402
+
+from palpate.service.diagnosis.diagnosed_constants import judged_constants  # noqa: E402
+from palpate.service.diagnosis.diagnosis_run import finished, request_for  # noqa: E402
+from palpate.service.diagnosis.diagnosis_words import strength  # noqa: E402
+from palpate.storage.json_digests import to_json  # noqa: E402
+from palpate.workers.tasks import diagnosis_tasks as tasks  # noqa: E402
+from palpate.workers.tasks.diagnosis_store import DiagnosisStore  # noqa: E402
+
+# Names in truths of the first set, where they differ from the catalogue's.
+EFFECTS = {
+    "tilt": "plate_tilt",
+    "friction": "plate_friction",
+    "gradient": "stiffness_gradient",
+    "gravity": "gravity_change",
+    "skin": "skin_added",
+    "chest_compliance": "wall_compliance",
+    "force_miscalibrated": "plate_force",
+    "segmentation_bias": "segmentation_offset",
+    "pair_gravity_tilt": "gravity_change plate_tilt",
+}
+# An effect that moves the interfaces by less than this on average cannot be seen.
+LEAST_MM = 0.05
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A diagnosis beside its truth.
+
+    Parameters
+    ----------
+    set, case, kind : str
+    truth : tuple of str
+        Effects of the catalogue that act; empty for a control.
+    listed : bool
+        Whether the catalogue lists all causes.
+    named, rivals : tuple of str
+    verdict : str
+    singles : mapping of str to float
+        Gains of single effects, in nats.
+    further : mapping of str to float
+        Gains of several effects, by their names joined with "+".
+    residuals_mm : mapping of str to float
+        Root mean square residual of each single fit, and of the nominal model under "".
+    left_gain : float
+    intervals : tuple of bool
+        For each constant that may be quoted, whether its interval contains the truth.
+    cpu_s : float
+    """
+
+    set: str
+    case: str
+    kind: str
+    truth: tuple[str, ...]
+    listed: bool
+    named: tuple[str, ...]
+    rivals: tuple[str, ...]
+    verdict: str
+    singles: Mapping[str, float]
+    further: Mapping[str, float]
+    residuals_mm: Mapping[str, float]
+    left_gain: float
+    intervals: tuple[bool, ...]
+    cpu_s: float
+
+    @property
+    def is_control(self) -> bool:
+        """Whether nothing is missing from the model."""
+        return self.listed and not self.truth
+
+    @property
+    def gain(self) -> float:
+        """Gain of the best single effect, in nats."""
+        return max(self.singles.values(), default=0.0)
+
+
+def main() -> None:
+    """Diagnose all cases and print the tables."""
+    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
+    parser.add_argument("out", type=Path)
+    parser.add_argument("sets", type=Path, nargs="+", metavar="SET")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--reliability", type=Path, metavar="FILE")
+    wanted = parser.parse_args()
+    wanted.out.mkdir(parents=True, exist_ok=True)
+    cases = [c for folder in wanted.sets for c in sorted(folder.iterdir()) if is_case(c)]
+    files = [wanted.out / f"{case.parent.name}-{case.name}.json" for case in cases]
+    missing = [(case, file) for case, file in zip(cases, files, strict=True) if not file.is_file()]
+    # A new process for each case: a worker keeps what it computed.
+    pool = ProcessPoolExecutor(wanted.workers, get_context("spawn"), max_tasks_per_child=1)
+    with pool:
+        for done, case in enumerate(pool.map(diagnosed, missing), start=1):
+            typer.echo(f"{done} of {len(missing)}: {case}", err=True)
+    judged = [read_judged(file) for file in files]
+    typer.echo("\n".join(tables(judged)))
+    if wanted.reliability:
+        wanted.reliability.write_text(json.dumps(reliability_of(judged), indent=1) + "\n")
+
+
+def is_case(folder: Path) -> bool:
+    """Check whether a folder holds a case and its truth."""
+    return (folder / "case.yaml").is_file() and (folder / "truth.json").is_file()
+
+
+def diagnosed(asked: tuple[Path, Path]) -> str:
+    """Diagnose a case in this process and write the result beside its truth."""
+    case, file = asked
+    begun = time.process_time()
+    request = request_for(case, file.parent / "stores" / f"{case.parent.name}-{case.name}")
+    store = DiagnosisStore(request)
+    calibration = tasks.calibrate_nominal(request)
+    for effect in request.effects:
+        for scan in range(calibration.scans):
+            tasks.analyse_effect(request, effect, scan)
+    while (left := tasks.weigh_hypotheses(request)).is_open:
+        for names in left.wanted:
+            tasks.fit_effects(request, names)
+    spent = time.process_time() - begun
+    diagnosis = finished(request)
+    if diagnosis is None:
+        raise AssertionError("the last task stores the outcome")
+    analysis = store.analysis
+    residuals = {"": analysis.nominal.residual(analysis.inverse)}
+    for one in diagnosis.summary.refits:
+        fitted = store.load_joint_fit(store.combination(one.effects))
+        if fitted is not None and len(one.effects) == 1:
+            residuals[one.effects[0]] = fitted.fit.residual(analysis.inverse)
+    record = {
+        "set": case.parent.name,
+        "case": case.name,
+        "truth": json.loads((case / "truth.json").read_text()),
+        "summary": to_json(diagnosis.summary),
+        "quotable": {
+            name: one.interval
+            for name, one in judged_constants(diagnosis.summary).items()
+            if one.answer.quotable
+        },
+        "residuals_mm": {name: float(np.sqrt((r**2).mean())) for name, r in residuals.items()},
+        "cpu_s": spent,
+    }
+    file.write_text(json.dumps(record, indent=1, default=float))
+    return case.name
+
+
+def read_judged(file: Path) -> Judged:
+    """Read a stored result."""
+    record = json.loads(file.read_text())
+    truth, summary = record["truth"], record["summary"]
+    kind, effects, listed = truth_of(truth)
+    fits = {tuple(one["effects"]): one["log_evidence_gain"] for one in summary["refits"]}
+    return Judged(
+        set=record["set"],
+        case=record["case"],
+        kind=kind,
+        truth=effects,
+        listed=listed,
+        named=tuple(summary["primary"]),
+        rivals=tuple(summary["rivals"]),
+        verdict=summary["verdict"],
+        singles={who[0]: gain for who, gain in fits.items() if len(who) == 1},
+        further={"+".join(who): gain for who, gain in fits.items() if len(who) > 1},
+        residuals_mm=record["residuals_mm"],
+        left_gain=summary["left_gain"],
+        intervals=tuple(covered(record["quotable"], truth["constants_kPa"])),
+        cpu_s=record["cpu_s"],
+    )
+
+
+def truth_of(truth: Mapping[str, Any]) -> tuple[str, tuple[str, ...], bool]:
+    """Return the kind of a body, the effects of the catalogue that act, and whether all do."""
+    if "causes" in truth:
+        causes = truth["causes"]
+        effects = tuple(cause["effect"] for cause in causes if cause["effect"])
+        return truth["kind"], effects, len(effects) == len(causes)
+    kind = truth["spec"]["kind"]
+    moved = [scan["mean"] for scan in truth.get("gap_effect_mm", {}).values()]
+    if kind == "control" or (moved and max(moved) < LEAST_MM):
+        return kind, (), True
+    if kind.startswith("ooc"):
+        return kind, (), False
+    return kind, tuple(EFFECTS.get(kind, kind).split()), True
+
+
+def covered(quoted: Mapping[str, Any], truth: Mapping[str, float]) -> Iterable[bool]:
+    """Yield, for each quoted constant, whether its interval contains the truth."""
+    known = {"E_fat_kpa": "E_fat", "E_gl_kpa": "E_gl", "eta_kpa": "eta"}
+    for name, interval in quoted.items():
+        if name in known and interval is not None:
+            yield interval[0] <= truth[known[name]] <= interval[1]
+
+
+def tables(judged: Sequence[Judged]) -> Iterable[str]:
+    """Yield the lines of all tables."""
+    yield "| set | controls alarmed | named first | among rivals | in full | intervals |"
+    yield "|---|---|---|---|---|---|"
+    for name in sorted({one.set for one in judged}):
+        yield row(name, [one for one in judged if one.set == name])
+    yield row("all", judged)
+    yield ""
+    yield "| rule | controls alarmed | single, named first |"
+    yield "|---|---|---|"
+    yield from baselines(judged)
+    yield ""
+    yield "| gain of the first name | right |"
+    yield "|---|---|"
+    for band in reliability_of(judged):
+        yield f"| {band['word']} | {band['right']} of {band['named']} |"
+
+
+def row(name: str, judged: Sequence[Judged]) -> str:
+    """Return the counts of some bodies as a row of a table."""
+    controls = [one for one in judged if one.is_control]
+    singles = [one for one in judged if len(one.truth) == 1 and one.listed]
+    spoken = [one for one in judged if one.named]
+    alarmed = sum(bool(one.named) or one.verdict == "none-of-these" for one in controls)
+    first = sum(one.named[:1] == one.truth for one in singles)
+    among = sum(bool({*one.named, *one.rivals} & {*one.truth}) for one in singles)
+    full = sum(bool(one.truth) and {*one.named} == {*one.truth} for one in spoken)
+    within = [hit for one in judged for hit in one.intervals]
+    return (
+        f"| {name} | {alarmed} of {len(controls)} | {first} of {len(singles)} | {among} | "
+        f"{full} of {len(spoken)} | {sum(within)} of {len(within)} |"
+    )
+
+
+def baselines(judged: Sequence[Judged]) -> Iterable[str]:
+    """Yield the rule, and the smallest residual with a threshold for as many alarms."""
+    controls = [one for one in judged if one.is_control]
+    singles = [one for one in judged if len(one.truth) == 1 and one.listed]
+    alarms = sum(bool(one.named) for one in controls)
+
+    def drop(one: Judged) -> float:
+        best = min(one.residuals_mm.values())
+        return float(np.log(one.residuals_mm[""] / best))
+
+    least = sorted((drop(one) for one in controls), reverse=True)[alarms] if controls else 0.0
+    of_rule = sum(one.named[:1] == one.truth for one in singles)
+    of_residual = sum(
+        drop(one) > least
+        and (min(one.residuals_mm, key=lambda name: one.residuals_mm[name]),) == one.truth
+        for one in singles
+    )
+    yield f"| forward selection | {alarms} of {len(controls)} | {of_rule} of {len(singles)} |"
+    yield f"| smallest residual | {alarms} of {len(controls)} | {of_residual} of {len(singles)} |"
+
+
+def reliability_of(judged: Sequence[Judged]) -> list[dict[str, Any]]:
+    """Return, for each band of gains, how often the first name was right."""
+    found = []
+    for word in ("weak", "clear", "strong"):
+        named = [one for one in judged if one.named and strength(one.gain) == word]
+        right = sum(one.named[0] in one.truth for one in named)
+        found.append({"word": word, "named": len(named), "right": right})
+    return found
+
+
+if __name__ == "__main__":
+    main()

@@ -14,6 +14,8 @@ from palpate.service.diagnosis.diagnosis_words import strength
 from palpate.storage.json_digests import from_json
 
 FILE = Path(__file__).with_name("reliability.json")
+# Fewer bodies say nothing about the next one.
+FEWEST = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +42,9 @@ def bands() -> Sequence[Band]:
 
 
 def reliability(gain: float) -> str:
-    """Return how often a cause named with such a gain was right; empty if none was."""
+    """Return how often a cause named with such a gain was right; empty after too few bodies."""
     band = next((one for one in bands() if one.word == strength(gain)), None)
-    if band is None or not band.named:
+    if band is None or band.named < FEWEST:
         return ""
     return (
         f"Of {band.named} bodies of another solver with {band.word} evidence, the cause named "

@@ -417,6 +417,9 @@ class SelectionSettings:
     first: float = 10.0
     # [gap-opened2] A further one if it adds more than this.
     further: float = 15.0
+    # [principle] The same where points were measured: their noise is known, and no segmentation
+    # differs at all of them alike, so one threshold holds for all causes.
+    further_measured: float = 10.0
     # [principle] Causes closer than this to the best cannot be told apart.
     tie: float = 5.0
     # [gap-opened2] A smooth field that gains more than this beside the named causes shows that

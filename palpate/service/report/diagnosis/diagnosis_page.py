@@ -261,12 +261,13 @@ def _evidence_picture(summary: Summary) -> Picture | None:
 def _about_evidence(summary: Summary) -> str:
     """Return how causes are named, and what the fits left."""
     settings = SETTINGS.selection
+    further = settings.further if summary.markers is None else settings.further_measured
     said = (
         "Each promising effect was fitted together with the constants, in new simulations. The "
         "bars show its gain: how much better the data are then predicted (log evidence, in nats), "
         "less a price for each parameter. An effect is named as the cause if it gains more than "
         f"{settings.first:g} nats over the nominal model, a further one if it adds more than "
-        f"{settings.further:g}. Effects within {settings.tie:g} nats of the best cannot be told "
+        f"{further:g}. Effects within {settings.tie:g} nats of the best cannot be told "
         "apart."
     )
     if not summary.refits:

@@ -63,8 +63,12 @@ Gains = Mapping[tuple[str, ...], float]
 """Gains in log evidence over the nominal model, in nats, by the effects of a fit."""
 
 
-def selected(gains: Gains, hidden: Collection[str] = ()) -> tuple[str, ...]:
+def selected(
+    gains: Gains, hidden: Collection[str] = (), further: float = SETTINGS.selection.further
+) -> tuple[str, ...]:
     """Return the effects that forward selection names, in the order of their selection.
+
+    A further effect must add more than `further` nats.
 
     Examples
     --------
@@ -84,7 +88,7 @@ def selected(gains: Gains, hidden: Collection[str] = ()) -> tuple[str, ...]:
             and not set(effects) & set(hidden)
         }
         best = min(longer, key=lambda effects: (-longer[effects], effects), default=None)
-        least = settings.further if chosen else settings.first
+        least = further if chosen else settings.first
         if best is None or longer[best] - gain <= least:
             break
         chosen = (*chosen, *(name for name in best if name not in chosen))
@@ -92,7 +96,12 @@ def selected(gains: Gains, hidden: Collection[str] = ()) -> tuple[str, ...]:
     return chosen
 
 
-def verdict(gains: Gains, left_gain: float, hidden: Collection[str] = ()) -> Verdict:
+def verdict(
+    gains: Gains,
+    left_gain: float,
+    hidden: Collection[str] = (),
+    further: float = SETTINGS.selection.further,
+) -> Verdict:
     """Name the causes.
 
     Parameters
@@ -103,6 +112,8 @@ def verdict(gains: Gains, left_gain: float, hidden: Collection[str] = ()) -> Ver
         Gain of a smooth field in addition to the effects that `selected` returns.
     hidden : collection of str
         Effects that the constants hide.
+    further : float
+        See `selected`.
 
     Raises
     ------
@@ -112,7 +123,7 @@ def verdict(gains: Gains, left_gain: float, hidden: Collection[str] = ()) -> Ver
     for effects in gains:
         if not 0 < len(set(effects)) == len(effects) <= MOST_EFFECTS:
             raise InputError(f"A fit has one to {MOST_EFFECTS} different effects, found {effects}.")
-    names = selected(gains, hidden)
+    names = selected(gains, hidden, further)
     singles = {who: gain for (who, *more), gain in gains.items() if not more and who not in hidden}
     best = max(singles.values(), default=0.0)
     order = sorted(singles, key=lambda who: (-singles[who], who))

@@ -163,7 +163,7 @@ def _extended(
     """Request extensions of the selected effects as long as one of them is selected."""
     before: tuple[str, ...] = ()
     while True:
-        names = selected(gains_of(analysis, fits), analysis.hidden)
+        names = selected(gains_of(analysis, fits), analysis.hidden, _further(analysis))
         if names == before or len(names) == MOST_EFFECTS:
             return fits
         chosen = next(fit for who, fit in fits.items() if set(who) == set(names))
@@ -173,10 +173,16 @@ def _extended(
 
 def _verdict(analysis: NominalAnalysis, fits: Fits) -> Verdict:
     gains = gains_of(analysis, fits)
-    names = selected(gains, analysis.hidden)
+    names = selected(gains, analysis.hidden, _further(analysis))
     chosen = next((fit.fit for who, fit in fits.items() if names and set(who) == set(names)), None)
     left = analysis.field_gain(analysis.nominal if chosen is None else chosen)
-    return verdict(gains, left, analysis.hidden)
+    return verdict(gains, left, analysis.hidden, _further(analysis))
+
+
+def _further(analysis: NominalAnalysis) -> float:
+    """Return the gain of a further cause; measured points have no error common to all of them."""
+    settings = SETTINGS.selection
+    return settings.further if analysis.inverse.is_segmented else settings.further_measured
 
 
 def _fitted(

@@ -140,3 +140,10 @@ def test_every_named_effect_adds_enough(
     assert bool(found.rivals) == (found.kind == "cannot-be-told-apart")
     if found.primary:
         assert left <= before
+
+
+def test_a_further_cause_of_measured_points_needs_less() -> None:
+    gains = {("a",): 450.0, ("a", "b"): 461.2}
+    assert selected(gains) == ("a",)
+    assert selected(gains, (), SETTINGS.selection.further_measured) == ("a", "b")
+    assert verdict(gains, 0.0, (), SETTINGS.selection.further_measured).primary == ("a", "b")

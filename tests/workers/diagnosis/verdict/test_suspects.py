@@ -119,7 +119,7 @@ def analysed(
         hidden=set(hidden),
         log_evidence=100.0,
         nominal=SimpleNamespace(names=()),
-        inverse=None,
+        inverse=SimpleNamespace(is_segmented=True),
         is_steep=lambda effect: False,
         field_gain=lambda fit: gain(fit.names),
     )

@@ -130,6 +130,7 @@ def linear_analysis(problem, sensitivities, amplitudes_mm=FIELD.amplitudes_mm):
     seen = tuple(SimpleNamespace(normals=normals[states == s]) for s in (0, 1))
     nominal = LinearFit(problem, np.zeros(len(problem.nominal_sd), bool), seen)
     inverse = SimpleNamespace(
+        is_segmented=True,
         points=SimpleNamespace(points=points[:k]),
         scans=[None, None],
         rows=states,

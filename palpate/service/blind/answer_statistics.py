@@ -94,8 +94,7 @@ class Band:
     named : Estimate
         Share of certain diagnoses whose first effect acts.
     unsure : Estimate
-        Share of the others, whose first effect cannot be told apart from its rivals, where one of
-        these acts.
+        The same for undecided answers: share in which one of the rivals acts.
     """
 
     above: float

@@ -1,7 +1,7 @@
 """How often a first cause was right on bodies of other solvers, by the gain of its fit.
 
-``reliability.json`` holds the counts; `tests.benchmarks.foreign_bodies` makes it from bodies that
-other solvers deformed.
+``reliability.json`` holds the counts, written by `tests.benchmarks.foreign_bodies --reliability`;
+they are zero until it has diagnosed bodies with this rule.
 """
 
 import json

@@ -1,13 +1,15 @@
 """How often a diagnosis is right on bodies that other solvers deformed.
 
     python -m tests.benchmarks.foreign_bodies OUT SET [SET ...] [--workers 2] [--reliability FILE]
+                                              [--unscreened]
 
 A SET is a folder of cases with their truths, as in ../shared/reference/gap-opened2. Each case is
 diagnosed from its case.yaml and scans alone; OUT receives one JSON file for each, and cases already
 there are not diagnosed again. The tables count alarms, first names, complete names, and intervals;
 the thresholds of the rule are set on all sets but one and applied to that one; and the rule is set
 beside the smallest residual of one fit at a time. `--reliability` writes the counts that a report
-states beside a gain.
+states beside a gain. `--unscreened` fits every other effect, too, where no effect has clear
+evidence, and shows what screening saved and lost.
 """
 
 import argparse
@@ -30,10 +32,10 @@ import typer  # noqa: E402
 
 from palpate.service.diagnosis.diagnosed_constants import judged_constants  # noqa: E402
 from palpate.service.diagnosis.diagnosis_run import finished, request_for  # noqa: E402
-from palpate.service.diagnosis.diagnosis_words import strength  # noqa: E402
+from palpate.service.diagnosis.diagnosis_words import STRENGTHS, strength  # noqa: E402
 from palpate.storage.json_digests import to_json  # noqa: E402
 from palpate.workers.tasks import diagnosis_tasks as tasks  # noqa: E402
-from palpate.workers.tasks.diagnosis_store import DiagnosisStore  # noqa: E402
+from palpate.workers.tasks.diagnosis_store import DiagnosisRequest, DiagnosisStore  # noqa: E402
 
 # Names in truths of the first set, where they differ from the catalogue's.
 EFFECTS = {
@@ -47,6 +49,8 @@ EFFECTS = {
     "segmentation_bias": "segmentation_offset",
     "pair_gravity_tilt": "gravity_change plate_tilt",
 }
+# Below this gain in nats, effects that were not fitted may matter.
+UNCLEAR = STRENGTHS[0][1]
 # An effect that moves the interfaces by less than this on average cannot be seen.
 LEAST_MM = 0.05
 
@@ -109,11 +113,16 @@ def main() -> None:
     parser.add_argument("sets", type=Path, nargs="+", metavar="SET")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--reliability", type=Path, metavar="FILE")
+    parser.add_argument("--unscreened", action="store_true")
     wanted = parser.parse_args()
     wanted.out.mkdir(parents=True, exist_ok=True)
     cases = [c for folder in wanted.sets for c in sorted(folder.iterdir()) if is_case(c)]
     files = [wanted.out / f"{case.parent.name}-{case.name}.json" for case in cases]
-    missing = [(case, file) for case, file in zip(cases, files, strict=True) if not file.is_file()]
+    missing = [
+        (case, file, wanted.unscreened)
+        for case, file in zip(cases, files, strict=True)
+        if not file.is_file()
+    ]
     # A new process for each case: a worker keeps what it computed.
     pool = ProcessPoolExecutor(wanted.workers, get_context("spawn"), max_tasks_per_child=1)
     with pool:
@@ -130,9 +139,9 @@ def is_case(folder: Path) -> bool:
     return (folder / "case.yaml").is_file() and (folder / "truth.json").is_file()
 
 
-def diagnosed(asked: tuple[Path, Path]) -> str:
+def diagnosed(asked: tuple[Path, Path, bool]) -> str:
     """Diagnose a case in this process and write the result beside its truth."""
-    case, file = asked
+    case, file, is_unscreened = asked
     begun = time.process_time()
     request = request_for(case, file.parent / "stores" / f"{case.parent.name}-{case.name}")
     store = DiagnosisStore(request)
@@ -153,6 +162,8 @@ def diagnosed(asked: tuple[Path, Path]) -> str:
         fitted = store.load_joint_fit(store.combination(one.effects))
         if fitted is not None and len(one.effects) == 1:
             residuals[one.effects[0]] = fitted.fit.residual(analysis.inverse)
+    begun = time.process_time()
+    others = others_fitted(request, store) if is_unscreened else {}
     record = {
         "set": case.parent.name,
         "case": case.name,
@@ -165,9 +176,28 @@ def diagnosed(asked: tuple[Path, Path]) -> str:
         },
         "residuals_mm": {name: float(np.sqrt((r**2).mean())) for name, r in residuals.items()},
         "cpu_s": spent,
+        "unscreened": others,
+        "unscreened_cpu_s": time.process_time() - begun,
     }
     file.write_text(json.dumps(record, indent=1, default=float))
     return case.name
+
+
+def others_fitted(request: DiagnosisRequest, store: DiagnosisStore) -> dict[str, float]:
+    """Fit the effects that the screening left out, unless evidence is clear; return their gains."""
+    analysis = store.analysis
+    effects = [one.name for one in analysis.screening if not one.hides]
+    fits = {name: store.load_joint_fit(store.combination((name,))) for name in effects}
+    done = [fit.log_evidence - analysis.log_evidence for fit in fits.values() if fit is not None]
+    if max(done, default=0.0) > UNCLEAR:
+        return {}
+    found = {}
+    for name in (name for name, fit in fits.items() if fit is None):
+        tasks.fit_effects(request, (name,))
+        fitted = store.load_joint_fit(store.combination((name,)))
+        if fitted is not None:
+            found[name] = fitted.log_evidence - analysis.log_evidence
+    return found
 
 
 def read_judged(file: Path) -> Judged:

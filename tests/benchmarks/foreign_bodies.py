@@ -186,18 +186,19 @@ def diagnosed(asked: tuple[Path, Path, bool]) -> str:
 def others_fitted(request: DiagnosisRequest, store: DiagnosisStore) -> dict[str, float]:
     """Fit the effects that the screening left out, unless evidence is clear; return their gains."""
     analysis = store.analysis
-    effects = [one.name for one in analysis.screening if not one.hides]
-    fits = {name: store.load_joint_fit(store.combination((name,))) for name in effects}
-    done = [fit.log_evidence - analysis.log_evidence for fit in fits.values() if fit is not None]
-    if max(done, default=0.0) > UNCLEAR:
-        return {}
-    found = {}
-    for name in (name for name, fit in fits.items() if fit is None):
-        tasks.fit_effects(request, (name,))
+
+    def gain(name: str) -> float:
         fitted = store.load_joint_fit(store.combination((name,)))
-        if fitted is not None:
-            found[name] = fitted.log_evidence - analysis.log_evidence
-    return found
+        return 0.0 if fitted is None else fitted.log_evidence - analysis.log_evidence
+
+    visible = [one.name for one in analysis.screening if not one.hides]
+    done = [name for name in visible if store.has_joint_fit(store.combination((name,)))]
+    if max(map(gain, done), default=0.0) > UNCLEAR:
+        return {}
+    others = [name for name in visible if name not in done]
+    for name in others:
+        tasks.fit_effects(request, (name,))
+    return {name: gain(name) for name in others}
 
 
 def read_judged(file: Path) -> Judged:

@@ -9,13 +9,9 @@ import pytest
 from rich.console import Console
 
 from palpate.service.commands.studies.diagnosing import print_verdict
-from palpate.service.diagnosis.diagnosis_words import (
-    headline,
-    magnitude,
-    planned_amounts,
-    power,
-    seen_from,
-)
+from palpate.service.diagnosis.diagnosis_words import headline, power, seen_from
+from palpate.service.diagnosis.magnitude_words import magnitude
+from palpate.service.diagnosis.plan_words import planned_amounts
 from palpate.service.number_formatting import number, share
 from palpate.service.report.diagnosis import diagnosis_tables as tables
 from palpate.service.report.diagnosis.diagnosis_tables import parameter_name

@@ -9,7 +9,8 @@ from palpate.service.blind.answer_statistics import NOTHING, Band, Estimate, con
 from palpate.service.blind.blind_metrics import Metric, Unit, both_known
 from palpate.service.blind.case_truth import GROUPS, CaseRecord
 from palpate.service.blind.set_scoring import ScoredSet, Seals
-from palpate.service.diagnosis.diagnosis_words import signed, spoken, together
+from palpate.service.diagnosis.diagnosis_words import spoken, together
+from palpate.service.diagnosis.magnitude_words import signed
 from palpate.service.installed_packages import palpate_version
 from palpate.service.number_formatting import NONE
 from palpate.service.report.page.page_elements import Picture, filled, picture

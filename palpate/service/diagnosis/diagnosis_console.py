@@ -12,15 +12,8 @@ from rich.console import Console
 from rich.status import Status
 
 from palpate.service.diagnosis.diagnosis_run import Step
-from palpate.service.diagnosis.diagnosis_words import (
-    agreement,
-    decimals,
-    difference,
-    least_length,
-    measured,
-    signed,
-    spoken,
-)
+from palpate.service.diagnosis.diagnosis_words import agreement, least_length, spoken
+from palpate.service.diagnosis.magnitude_words import decimals, difference, measured, signed
 from palpate.service.number_formatting import NONE, number
 from palpate.service.study.study_progress import clock
 from palpate.workers.diagnosis.outcome.diagnosis_summary import PredictedPoint, Summary

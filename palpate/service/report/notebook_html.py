@@ -8,13 +8,8 @@ from numpy.typing import NDArray
 
 from palpate.service.diagnosis.diagnosed_constants import judged_constants
 from palpate.service.diagnosis.diagnosis_run import FinishedDiagnosis
-from palpate.service.diagnosis.diagnosis_words import (
-    fitted_causes,
-    magnitude,
-    sentence,
-    spoken,
-    strength,
-)
+from palpate.service.diagnosis.diagnosis_words import fitted_causes, sentence, spoken, strength
+from palpate.service.diagnosis.magnitude_words import magnitude
 from palpate.service.number_formatting import number, symbol
 from palpate.service.report.drawing import colours
 from palpate.service.report.drawing.raster import png_uri

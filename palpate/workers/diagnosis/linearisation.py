@@ -168,6 +168,22 @@ class Linearised:
             self.covariance_factor,
         )
 
+    def of(self, rows: BoolArray, factor: FloatArray | None = None) -> "Linearised":
+        """Return the fit's linearisation for some of its residuals, a mask of shape (m,).
+
+        Parameters
+        ----------
+        rows : ndarray of bool, shape (m,)
+        factor : ndarray, optional
+            Factor of their covariance, if it is known.
+        """
+        if factor is None:
+            whole = self.covariance_factor
+            factor = whole if rows.all() else factored(self.covariance[np.ix_(rows, rows)])
+        return Linearised(
+            self.residual[rows], self.nominal[rows], self.nominal_sd, self.nominal_offset, factor
+        )
+
     @cached_property
     def _curvature(self) -> tuple[FloatArray, bool]:
         A = self.scaled_nominal
@@ -355,18 +371,8 @@ class LinearFit:
 
     def _fit_to(self, train: BoolArray) -> None:
         """Fit a subset of residuals; the step is ``-(gain r + bias)``, in prior sd."""
-        problem = self.problem
-        L = problem.covariance_factor
-        if not train.all():
-            L = factored(problem.covariance[np.ix_(train, train)])
-        part = Linearised(
-            problem.residual[train],
-            problem.nominal[train],
-            problem.nominal_sd,
-            problem.nominal_offset,
-            L,
-        )
-        A = part.scaled_nominal
+        part = self.problem.of(train)
+        A, L = part.scaled_nominal, part.covariance_factor
         H = np.eye(A.shape[1]) + A.T @ A
         weighted = solve_triangular(L, A, lower=True, trans="T", check_finite=False)
         self.gain[:, train] = np.linalg.solve(H, weighted.T)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from palpate.service.cli import main
-from palpate.service.diagnosis import diagnosis_words as words
+from palpate.service.diagnosis import plan_words as words
 from palpate.service.diagnosis.diagnosis_run import request_plan
 from palpate.service.report.diagnosis.plan_page import render_plan
 from palpate.storage.json_digests import to_json

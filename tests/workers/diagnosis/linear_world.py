@@ -117,9 +117,12 @@ class LinearFit:
     def linearised(self, inverse):
         return self.linear
 
-    def log_evidence(self, inverse, columns=None):
+    linearised_with_poses = linearised
+
+    def log_evidence(self, inverse, columns=None, part=None):
         q = 0 if columns is None else columns.shape[1]
         linear = self.linear if columns is None else self.linear.freed(columns, np.ones(q))
+        linear = linear if part is None else linear.of(part.rows, part.factor)
         return log_evidence(linear, np.append(self.one_sided, np.zeros(q, bool)))
 
 

@@ -32,23 +32,25 @@ from palpate.service.diagnosis.diagnosis_run import (
     with_caveats,
 )
 from palpate.service.diagnosis.diagnosis_words import (
+    fitted_causes,
+    power,
+    sentence,
+    spoken,
+    strength,
+)
+from palpate.service.diagnosis.magnitude_words import magnitude
+from palpate.service.diagnosis.plan_words import (
     WHY_NOT_FOUND,
     acquisition_worth,
     confused_effects,
     drift_advice,
-    fitted_causes,
     is_undecided,
-    magnitude,
     measurement_gain,
     nearest_effect,
     next_acquisitions,
     plan_headline,
     planned_amounts,
-    power,
-    sentence,
     silent_effects,
-    spoken,
-    strength,
 )
 from palpate.service.diagnosis.reliability import reliability
 from palpate.service.report.diagnosis.diagnosis_page import write_diagnosis

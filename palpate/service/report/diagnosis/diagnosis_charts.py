@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from palpate.service.diagnosis.diagnosis_words import length
+from palpate.service.diagnosis.magnitude_words import length
 from palpate.service.number_formatting import MINUS
 from palpate.service.report.drawing.svg import Mark, Scale, Svg, horizontal_axis, legend, text_width
 from palpate.workers.diagnosis.outcome.diagnosis_summary import GapEstimate, Summary

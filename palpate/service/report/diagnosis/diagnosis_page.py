@@ -6,16 +6,9 @@ from pathlib import Path
 
 from palpate.service.diagnosis.diagnosed_constants import summary_json
 from palpate.service.diagnosis.diagnosis_run import FinishedDiagnosis
-from palpate.service.diagnosis.diagnosis_words import (
-    acquisition_worth,
-    headline,
-    is_undecided,
-    length,
-    millimetres,
-    noise,
-    power,
-    together,
-)
+from palpate.service.diagnosis.diagnosis_words import headline, noise, power, together
+from palpate.service.diagnosis.magnitude_words import length, millimetres
+from palpate.service.diagnosis.plan_words import acquisition_worth, is_undecided
 from palpate.service.diagnosis.reliability import reliability
 from palpate.service.installed_packages import palpate_version, versions
 from palpate.service.number_formatting import listed, number
@@ -223,7 +216,7 @@ def _warnings(summary: Summary) -> Iterator[str]:
     share = summary.gap_mm.held_out_share
     if share is not None and share.low < 0:
         yield (
-            "On scans not used in the fit, the gap with the effect may be as large as with the "
+            "On scans left out of the fit, the gap with the effect may be as large as with the "
             "nominal model: treat this cause as a lead, not a finding."
         )
 

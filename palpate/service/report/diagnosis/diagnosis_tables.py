@@ -15,18 +15,20 @@ from markupsafe import Markup
 from palpate.service.diagnosis.diagnosed_constants import JudgedConstant, judged_constants, unit_of
 from palpate.service.diagnosis.diagnosis_words import (
     agreement,
-    decimals,
-    difference,
     fitted_causes,
     least_length,
+    seen_from,
+    spoken,
+    strength,
+)
+from palpate.service.diagnosis.magnitude_words import (
+    decimals,
+    difference,
     length,
     magnitude,
     measured,
     millimetres,
-    seen_from,
     signed,
-    spoken,
-    strength,
 )
 from palpate.service.number_formatting import NONE, number, percent, signed_error, symbol
 from palpate.service.results.physical_limits import Bounds

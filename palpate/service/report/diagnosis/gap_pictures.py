@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from palpate.service.diagnosis.diagnosis_words import signed
+from palpate.service.diagnosis.magnitude_words import signed
 from palpate.service.report.diagnosis.gap_maps import (
     SIGNIFICANT,
     Solid,

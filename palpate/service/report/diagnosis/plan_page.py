@@ -12,7 +12,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from palpate.service.diagnosis.diagnosis_words import (
+from palpate.service.diagnosis.diagnosis_words import spoken, together
+from palpate.service.diagnosis.plan_words import (
     PLAN_DIGITS,
     WHY_NOT_FOUND,
     confused_effects,
@@ -21,8 +22,6 @@ from palpate.service.diagnosis.diagnosis_words import (
     nearest_effect,
     plan_headline,
     silent_effects,
-    spoken,
-    together,
 )
 from palpate.service.installed_packages import palpate_version
 from palpate.service.number_formatting import NONE, number

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from palpate.service.diagnosis.diagnosis_words import length
+from palpate.service.diagnosis.magnitude_words import length
 from palpate.service.report.drawing.svg import ABOVE_PX, BELOW_PX, LEFT_PX, Mark, Panel, Svg, legend
 from palpate.service.report.page.page_elements import Picture, TableRow, chart
 from palpate.storage.stored_arrays import Arrays

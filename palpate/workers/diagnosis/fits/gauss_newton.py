@@ -10,10 +10,11 @@ Softw. 7 (1981) 348), and used for the next step if it would have predicted the 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from palpate.storage.values import FloatArray, IntArray
+from palpate.storage.values import BoolArray, FloatArray, IntArray
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.laplace_evidence import log_evidence
 from palpate.workers.diagnosis.linearisation import Linearised, factored
@@ -132,6 +133,13 @@ class SecantCurvature:
         return bent + max(lacks, 0.0) * np.eye(len(bent))
 
 
+class DataPart(NamedTuple):
+    """Some residuals, a mask of shape (m,), and the factor of their covariance without poses."""
+
+    rows: BoolArray
+    factor: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A hypothesis at its optimum.
@@ -203,7 +211,12 @@ class Fit:
             inverse.scatter_factor,
         )
 
-    def log_evidence(self, inverse: InverseProblem, columns: FloatArray | None = None) -> float:
+    def log_evidence(
+        self,
+        inverse: InverseProblem,
+        columns: FloatArray | None = None,
+        part: DataPart | None = None,
+    ) -> float:
         """Return the Laplace log evidence, in nats, on a common scale for all fits to the data.
 
         Parameters
@@ -211,10 +224,14 @@ class Fit:
         inverse : InverseProblem
         columns : ndarray, shape (m, q), optional
             Further columns of unit prior deviation to free, such as a smooth field, in mm.
+        part : DataPart, optional
+            The residuals to use; all by default. The fit is updated to them by a linear step.
         """
         linear = self.linearised_with_poses(inverse)
         if columns is not None:
             linear = linear.freed(columns, np.ones(columns.shape[1]))
+        if part is not None:
+            linear = linear.of(part.rows, part.factor)
         q = len(linear.nominal_sd) - len(self.z)
         one_sided = np.append(self.unknowns.one_sided, np.zeros(q, np.bool_))
         return log_evidence(linear, one_sided, np.append(self.at_bound, np.zeros(q, np.int32)))

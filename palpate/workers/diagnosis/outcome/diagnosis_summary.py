@@ -193,6 +193,9 @@ class GapSummary(ReadOnly):
         How scans were held out, in words.
     held_out_each : mapping of str to GapShrinkage, optional
         Held-out gap by name of the scan.
+    chosen_again : tuple of str, optional
+        Held-out scans whose other scans name the same effects; for the rest, the held-out gap is
+        that of the nominal model. None for fewer than three scans, where all scans chose.
     not_judged : tuple of str
         Scans that cannot be assessed by a fit to the others, because these do not constrain them.
     fitted_mm, undeformed_mm : float, optional
@@ -210,6 +213,7 @@ class GapSummary(ReadOnly):
     held_out_share: ShareEstimate | None = None
     held_out: str | None = None
     held_out_each: Mapping[str, GapShrinkage] | None = None
+    chosen_again: tuple[str, ...] | None = None
     not_judged: tuple[str, ...] = ()
     fitted_mm: float | None = None
     undeformed_mm: float | None = None

@@ -301,7 +301,9 @@ class Comparison:
         """
         return self._compared([self._pair(train, self.judged if judge is None else judge)])
 
-    def unseen(self, states: IntArray) -> tuple[Shrinkage | None, list[Shrinkage | None]]:
+    def unseen(
+        self, states: IntArray, chosen: Sequence[bool] | None = None
+    ) -> tuple[Shrinkage | None, list[Shrinkage | None]]:
         """Return the held-out share of all states together and of each state.
 
         It is None for a state that the fit to the others moves beyond the range of the linear model
@@ -312,6 +314,9 @@ class Comparison:
         states : ndarray of int, shape (m,)
             State of each residual; there must be at least two states, each assessed by a fit to the
             others.
+        chosen : sequence of bool, optional
+            Whether the other states name the effect; always by default. Otherwise the nominal model
+            takes its place, and nothing is removed from the gap of the state.
 
         Raises
         ------
@@ -322,6 +327,9 @@ class Comparison:
         if len(every) < 2:
             raise InputError("Leaving out a state requires two or more states; found one.")
         pairs = [self._pair(states != one, self.judged & (states == one)) for one in every]
+        if chosen is not None:
+            named = zip(pairs, chosen, strict=True)
+            pairs = [pair if is_named else (pair[0], pair[0]) for pair, is_named in named]
         held = [pair if self._holds(pair) else None for pair in pairs]
         judged = [pair for pair in held if pair is not None]
         each = [None if pair is None else self._compared([pair]) for pair in held]
@@ -354,12 +362,9 @@ class Comparison:
         share = float(_share(np.array(before.gap_mm**2), np.array(after.gap_mm**2)))
         if before.gap_mm == 0.0:
             return Shrinkage(float("nan"), float("nan"), float("nan"), before, after)
-        draws, means = self._drawn, self._without_noise
+        draws = self._drawn
         wrong = SETTINGS.gap.noise_variance_sd * before.noise_mm**2 * draws.wrong
-        drawn = [
-            _excess(fits, mean, draws.noise) + wrong
-            for fits, mean in zip((without, along), means, strict=True)
-        ]
+        drawn = [self._excess(fits) + wrong for fits in (without, along)]
         left = credited(drawn[1], after, self.floor_mm)
         squares = (left + drawn[0] - drawn[1], left)
         floors = self.floor_mm * draws.floors
@@ -367,6 +372,16 @@ class Comparison:
         level = SETTINGS.gap.level
         low, high = np.nanquantile(shares, [(1 - level) / 2, (1 + level) / 2])
         return Shrinkage(share, float(low), float(high), before, after)
+
+    def _excess(self, fits: Sequence[LinearFit]) -> FloatArray:
+        """Return the excess of each bootstrap draw, over the residuals being assessed."""
+        with_effect, noise = self._without_noise[1], self._drawn.noise
+        sums = []
+        for fit in fits:
+            mean = with_effect if fit.problem is self.effect else self._without_noise[0]
+            after = fit.after(mean[:, None] + noise)
+            sums.append((after**2).sum(axis=0) - fit.noise_mm2.sum())
+        return np.asarray(np.sum(sums, axis=0) / sum(len(fit.noise_mm2) for fit in fits))
 
     @cached_property
     def _whole(self) -> LinearFit:
@@ -393,14 +408,6 @@ class Comparison:
         excess = max(0.0, self._whole.excess_mm2)
         noise = left * (1.0 - min(1.0, np.sqrt(excess / square)))
         return self.nominal.residual - noise, self.effect.residual - noise
-
-
-def _excess(fits: Sequence[LinearFit], mean: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return the excess of each bootstrap draw, over the residuals being assessed."""
-    sums = [
-        (fit.after(mean[:, None] + noise) ** 2).sum(axis=0) - fit.noise_mm2.sum() for fit in fits
-    ]
-    return np.asarray(np.sum(sums, axis=0) / sum(len(fit.noise_mm2) for fit in fits))
 
 
 def parts_of_floor(rng: np.random.Generator, draws: int) -> FloatArray:

@@ -42,6 +42,8 @@ from palpate.workers.mechanics.model_parameters import KPA, Parameter, shown, sh
 DEVIATIONS_90 = 1.6449
 # Sizes beyond so many prior standard deviations are no longer linear, and not plausible.
 MOST_DEVIATIONS = 3.0
+# Scans with which the others, without one that is judged, can still choose causes.
+FEWEST_TO_CHOOSE = 3
 
 
 def summarise(diagnosis: Diagnosis, effects: Sequence[Effect], case: str) -> Summary:
@@ -223,7 +225,7 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
     )
     found = _compared(comparison.shrinkage())
     inside = replace(alone, before=found.before, after=found.after, share=found.share)
-    return _with_held_out(inside, inverse, comparison)
+    return _with_held_out(inside, diagnosis, comparison)
 
 
 def _distances_mm(inverse: InverseProblem, fit: Fit) -> tuple[float, float]:
@@ -266,14 +268,22 @@ def _registered(diagnosis: Diagnosis) -> LinearFit:
     return LinearFit(nominal, registration=where)
 
 
-def _with_held_out(
-    inside: GapSummary, inverse: InverseProblem, comparison: Comparison
-) -> GapSummary:
-    """Add the gap of each scan under a fit to the others."""
-    if len(inverse.scans) < 2:
+def _with_held_out(inside: GapSummary, diagnosis: Diagnosis, comparison: Comparison) -> GapSummary:
+    """Add the gap of each scan under a fit to the others, which also choose the effects."""
+    inverse = diagnosis.analysis.inverse
+    scans = [scan.name for scan in inverse.scans]
+    if len(scans) < 2:
         return replace(inside, held_out="one scan only")
-    whole, parts = comparison.unseen(inverse.rows)
-    by_name = dict(zip((scan.name for scan in inverse.scans), parts, strict=True))
+    how, chosen = "each scan judged by a fit to the others", None
+    if len(scans) >= FEWEST_TO_CHOOSE:
+        how = "each scan judged by a fit to the others, which also choose the causes"
+        named = set(diagnosis.verdict.primary)
+        rows = [inverse.rows != number for number in range(len(scans))]
+        chosen = [set(diagnosis.chosen_on(others)) == named for others in rows]
+        again = tuple(name for name, is_same in zip(scans, chosen, strict=True) if is_same)
+        inside = replace(inside, chosen_again=again)
+    whole, parts = comparison.unseen(inverse.rows, chosen)
+    by_name = dict(zip(scans, parts, strict=True))
     inside = replace(inside, not_judged=tuple(n for n, part in by_name.items() if part is None))
     if whole is None:
         return replace(inside, held_out="no scan is held by a fit to the others")
@@ -283,7 +293,7 @@ def _with_held_out(
         held_out_before=judged.before,
         held_out_after=judged.after,
         held_out_share=judged.share,
-        held_out="each scan judged by a fit to the others",
+        held_out=how,
         held_out_each={n: _compared(part) for n, part in by_name.items() if part is not None},
     )
 

@@ -15,8 +15,13 @@ decides who computes a fit and whether a stored one is used.
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from palpate.storage.values import BoolArray
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis, screen
+from palpate.workers.diagnosis.fits.gauss_newton import DataPart
+from palpate.workers.diagnosis.linearisation import factored
 from palpate.workers.diagnosis.verdict.cause_selection import (
     MOST_EFFECTS,
     NONE_OF_THESE,
@@ -65,6 +70,22 @@ class Diagnosis:
             if set(names) == named:
                 return fitted
         return None
+
+    def chosen_on(self, rows: BoolArray) -> tuple[str, ...]:
+        """Return the effects that some of the residuals, a mask of shape (m,), name.
+
+        Only effects that were fitted to all of them can be named; see `Fit.log_evidence`.
+        """
+        analysis = self.analysis
+        inverse = analysis.inverse
+        covariance = analysis.linear_with_poses.covariance
+        part = DataPart(rows, factored(covariance[np.ix_(rows, rows)]))
+        nominal = analysis.nominal.log_evidence(inverse, part=part)
+        gains = {
+            names: one.fit.log_evidence(inverse, part=part) - nominal
+            for names, one in self.joint_fits.items()
+        }
+        return selected(gains, analysis.hidden, _further(analysis))
 
     def gain(self, names: tuple[str, ...]) -> float:
         """Return the gain in log evidence of a fit over the nominal model, in nats."""

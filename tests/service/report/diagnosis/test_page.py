@@ -71,7 +71,7 @@ DIFFER = (
 )
 TILT = "plate tilt (5.48 ± 0.27 deg, strong evidence)"
 HELD_OUT = (
-    "On scans not used in the fit, it leaves nothing above the noise (at most 0.15 mm) of 0.31 mm."
+    "On scans left out of the fit, it leaves nothing above the noise (at most 0.15 mm) of 0.31 mm."
 )
 
 
@@ -187,6 +187,16 @@ def test_a_state_of_a_specimen_is_no_scan() -> None:
     assert sentence_of(told).endswith(
         "on the state used in the fit; this was not checked on other states."
     )
+
+
+def test_says_which_scans_chose_the_cause() -> None:
+    gap = summary()["gap_mm"]
+    rest = "it leaves nothing above the noise (at most 0.15 mm) of 0.31 mm."
+    assert sentence_of(summary()).endswith(f"On scans left out of the fit, {rest}")
+    said = sentence_of(summary(gap_mm=gap | {"chosen_again": ["40 N", "80 N"]}))
+    assert said.endswith(f"Chosen and fitted on the other scans, {rest}")
+    said = sentence_of(summary(gap_mm=gap | {"chosen_again": ["80 N"]}))
+    assert said.endswith(f"{rest} Without the scan at 40 N, it would not be chosen.")
 
 
 def test_reports_a_systematic_residual_below_noise() -> None:
@@ -338,7 +348,7 @@ def test_lists_causes_outside_catalogue(page: Page) -> None:
 
 
 def test_counts_points_left_out(page: Page) -> None:
-    assert "left out" not in page.text
+    assert "were left out" not in page.text
     record = summary() | {"left_out": 9}
     note = f"Of {record['points'] + 9} points, 9 were left out, because at least one scan does not"
     assert note in Page(render_diagnosis(found(record))).text

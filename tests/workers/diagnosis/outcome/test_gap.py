@@ -251,6 +251,21 @@ def test_held_out_shrinkage_pools_single_states():
     assert whole.share == pytest.approx(less / whole.before.gap_mm**2, rel=1e-10)
 
 
+def test_a_state_whose_others_do_not_choose_the_effect_keeps_its_gap():
+    nominal, effect = both(np.random.default_rng(47))
+    compared = Comparison(nominal, effect, 1)
+    always, (low, high) = compared.unseen(STATE)
+    assert compared.unseen(STATE, [True, True]) == (always, [low, high])
+    never, parts = compared.unseen(STATE, [False, False])
+    assert (never.share, never.low, never.high) == (0.0, 0.0, 0.0)
+    assert [part.share for part in parts] == [0.0, 0.0]
+    half, (same, none) = compared.unseen(STATE, [True, False])
+    assert same == low
+    assert none.after.excess_mm2 == none.before.excess_mm2 == high.before.excess_mm2
+    saved = low.before.excess_mm2 - low.after.excess_mm2
+    assert half.before.excess_mm2 - half.after.excess_mm2 == pytest.approx(saved / 2, rel=1e-10)
+
+
 def test_unconstrained_states_are_not_assessed():
     """An effect is visible in only one state, and a hundred times larger there."""
     noise = nominal_problem().covariance_factor @ np.random.default_rng(46).standard_normal(120)

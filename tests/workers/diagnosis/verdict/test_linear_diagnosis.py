@@ -1,6 +1,6 @@
 """Whole courses in a world in which Laplace's evidence is exact."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from tests.workers.diagnosis.linear_world import (
     catalogue,
     effect,
     field_draw,
+    layout,
     linear_diagnosis,
     linear_fit,
     mode,
@@ -50,6 +51,33 @@ def test_a_pair_of_acting_effects_is_found():
     assert set(found.verdict.primary) == {"tilt", "stiffening"}
     assert found.best is not None
     assert found.gain(found.best.names) > found.verdict.gain + SETTINGS.selection.further
+
+
+@pytest.mark.parametrize("seen", [(True, True), (True, False), (False, True)])
+def test_causes_are_chosen_on_some_of_the_states(seen):
+    """An effect that acts in one state only is not chosen on the other."""
+    tilt = catalogue()[1]
+    rows = np.repeat(seen, 60)
+    problem = observed(
+        nominal_problem(), np.random.default_rng(59), -1.2 * tilt.columns[:, 0] * rows
+    )
+    found = linear_diagnosis(problem, catalogue()[:2])
+    alone = [found.chosen_on(layout(60)[2] == state) for state in (0, 1)]
+    assert [names == ("tilt",) for names in alone] == list(seen)
+    assert found.chosen_on(np.ones(120, bool)) == ("tilt",)
+
+
+def test_evidence_on_some_residuals_is_that_of_these_residuals_alone():
+    problem = observed(nominal_problem(), np.random.default_rng(60))
+    rows = layout(60)[2] == 1
+    alone = replace(
+        problem,
+        residual=problem.residual[rows],
+        nominal=problem.nominal[rows],
+        covariance_factor=np.linalg.cholesky(problem.covariance[np.ix_(rows, rows)]),
+    )
+    assert log_evidence(problem.of(rows)) == pytest.approx(log_evidence(alone), abs=1e-9)
+    assert problem.of(np.ones(120, bool)).covariance_factor is problem.covariance_factor
 
 
 def test_twin_effects_cannot_be_told_apart():

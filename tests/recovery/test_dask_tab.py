@@ -22,6 +22,7 @@ from palpate.service.server.jobs.study_and_diagnosis_jobs import run_queued_stud
 from palpate.service.study.study_folder import StudyLog
 from palpate.service.study.study_session import DaskRecords, Session
 from palpate.storage.backends.store_paths import StudyLayout
+from palpate.workers.tasks.diagnosis_tasks import announcer
 from tests.recovery.stand_ins import TASKS, set_manners, small_spec
 
 DEADLINE_S = 20.0
@@ -120,6 +121,32 @@ def test_page_shows_the_steps_of_a_diagnosis(
     assert observed == steps
     assert shown == ["effects, 2 of 3: plate_tilt, 0", "no-gap", "reading", "interrupted"]
     assert diagnoses["diagnosis"] == ["patient-7"]  # restarted, it still has one row
+
+
+def announce_twice(request: Any) -> None:
+    for iteration in (1, 2):
+        announcer(request, "plate_tilt")(iteration)
+
+
+def test_iterations_of_a_fit_reach_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+    heard: list[tuple[str, int]] = []
+    request: Any = SimpleNamespace(name="abc")
+
+    def run(request: Any, dispatcher: Any, observe: Any) -> Any:
+        dispatcher.call(announce_twice, request)
+        end = time.monotonic() + DEADLINE_S
+        while len(heard) < 2 and time.monotonic() < end:
+            time.sleep(0.02)
+        return SimpleNamespace(summary=SimpleNamespace(verdict="no-gap"))
+
+    monkeypatch.setattr(dask_diagnosis, "run_diagnosis", run)
+    with open_cluster(workers=1) as cluster:
+        dispatcher, place = Dispatcher(cluster.client), Path("patient-7")
+        run_and_tell(
+            request, dispatcher, place, lambda step: None, lambda fit, n: heard.append((fit, n))
+        )
+    announce_twice(request)  # outside a worker
+    assert heard == [("plate_tilt", 1), ("plate_tilt", 2)]
 
 
 def state_of_diagnosis(url: str, reached: Callable[[str], bool]) -> list[str]:

@@ -52,6 +52,7 @@ class DiagnosisProgress:
         self._begun = time.monotonic()
         self._last = self._begun
         self._phase = "starting"
+        self._fits: dict[str, int] = {}
         self._ended = threading.Event()
         self._waiting = threading.Thread(target=self._wait, daemon=True)
         self._status = Status("starting", console=console) if console.is_terminal else None
@@ -71,9 +72,10 @@ class DiagnosisProgress:
     def __call__(self, step: Step) -> None:
         """Show the progress."""
         phase, done, of, record = step.phase, step.done, step.of, step.record
-        self._phase = f"{_PHASE_WORDS[phase]}: {done} of {of}"
-        if self._status is not None:
-            self._status.update(self._phase)
+        count = f": {done} of {of}" if of > 1 else ""
+        self._phase = _PHASE_WORDS[phase] + count
+        self._fits = {fit: n for fit, n in self._fits.items() if done and fit != step.task}
+        self._show()
         now = time.monotonic()
         if phase == "weighing":
             return
@@ -91,11 +93,25 @@ class DiagnosisProgress:
         elif done == of or now - self._last >= self.every_s:
             self._line(f"{done} of {of} effects and scans")
 
+    def iterated(self, fit: str, iteration: int) -> None:
+        """Note that an iteration of a fit has begun; called from another thread."""
+        self._fits = self._fits | {fit: iteration}
+        self._show()
+
+    def _state(self) -> str:
+        """Return the phase with the iterations of the fits that are running."""
+        fits = (f"{fit} iteration {n}".strip() for fit, n in sorted(self._fits.items()))
+        return ", ".join([self._phase, *fits])
+
+    def _show(self) -> None:
+        if self._status is not None:
+            self._status.update(self._state())
+
     def _wait(self) -> None:
         """Print a line after each long silence, until the diagnosis ends."""
         while not self._ended.wait(max(0.01, self._last + self.every_s - time.monotonic())):
             if time.monotonic() - self._last >= self.every_s:
-                self._line(f"still {self._phase}")
+                self._line(f"still {self._state()}")
 
     def _line(self, text: str) -> None:
         self._last = time.monotonic()

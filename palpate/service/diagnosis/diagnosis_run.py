@@ -9,6 +9,7 @@ scheduler, for the tab of `service.cluster.dask_dashboard`.
 import math
 import socket
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -40,6 +41,7 @@ from palpate.workers.tasks.diagnosis_tasks import (
     analyse_effect,
     calibrate_nominal,
     fit_effects,
+    fit_topic,
     prepare_scan,
     weigh_hypotheses,
 )
@@ -394,8 +396,30 @@ class DiagnosisRecords:
         self._events.send()
 
 
+Hearer = Callable[[str, int], object]
+"""Called with a fit, "plate_tilt with friction", and the number of its iteration."""
+
+
+@contextmanager
+def _iterations(client: Client, request: DiagnosisRequest, hear: Hearer | None) -> Iterator[None]:
+    """Pass on the iterations that workers announce."""
+    if hear is None:
+        yield
+        return
+    topic = fit_topic(request)
+    client.subscribe_topic(topic, lambda event: hear(event[1]["fit"], event[1]["iteration"]))
+    try:
+        yield
+    finally:
+        client.unsubscribe_topic(topic)
+
+
 def run_and_tell(
-    request: DiagnosisRequest, dispatcher: Dispatcher, place: Path, observe: Observer
+    request: DiagnosisRequest,
+    dispatcher: Dispatcher,
+    place: Path,
+    observe: Observer,
+    hear: Hearer | None = None,
 ) -> FinishedDiagnosis:
     """Run a diagnosis like `run_diagnosis`, and report it to the scheduler.
 
@@ -405,6 +429,8 @@ def run_and_tell(
         See `DiagnosisRecords`.
     observe : callable
         Also called with each step.
+    hear : callable, optional
+        Called with the iterations of long fits, from another thread.
 
     Raises
     ------
@@ -417,6 +443,7 @@ def run_and_tell(
         observe(step)
         records(step)
 
-    diagnosis = run_diagnosis(request, dispatcher, observe_both)
+    with _iterations(dispatcher.client, request, hear):
+        diagnosis = run_diagnosis(request, dispatcher, observe_both)
     records.finished(diagnosis)
     return diagnosis

@@ -18,6 +18,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from distributed import get_worker
 
 from palpate.storage.stored_arrays import Arrays
 from palpate.storage.values import BoolArray
@@ -37,6 +38,7 @@ from palpate.workers.diagnosis.verdict.diagnosis_course import (
     diagnose,
 )
 from palpate.workers.diagnosis.verdict.joint_fit import fit_jointly
+from palpate.workers.fit_progress import Listener, heard_by
 from palpate.workers.kernels_and_threads import Each, scan_threads
 from palpate.workers.tasks.diagnosis_store import (
     CalibrationRecord,
@@ -100,7 +102,7 @@ def calibrate_nominal(request: DiagnosisRequest, threads: int = 1) -> Calibratio
     if not part.is_finished:
         begun = time.perf_counter()
         whole = store.uncalibrated
-        with scan_threads(threads) as each:
+        with scan_threads(threads) as each, heard_by(announcer(request, "")):
             inverse, fit = calibrate(whole, store.finer(), each)
         points = {"kept": kept_of(whole.points, inverse.points), "bias": inverse.bias}
         _save_calibration(part, inverse, fit, points, time.perf_counter() - begun)
@@ -162,10 +164,32 @@ def fit_effects(
         wanted = store.combination(effects)
         first = store.combination(base_of(wanted))
         base = store.load_joint_fit(first) if first and store.has_joint_fit(first) else None
-        with scan_threads(threads) as each:
+        about = announcer(request, " with ".join(effects))
+        with scan_threads(threads) as each, heard_by(about):
             fitted = fit_jointly(store.analysis, wanted, each, base)
         store.save_joint_fit(effects, fitted, time.perf_counter() - begun)
     return part.record(JointFitRecord)
+
+
+def fit_topic(request: DiagnosisRequest) -> str:
+    """Return the topic of the cluster's events on iterations: the fit and its iteration."""
+    return f"palpate-fit-{request.name}"
+
+
+def announcer(request: DiagnosisRequest, fit: str) -> Listener:
+    """Return a listener that sends the iterations of a fit to whoever subscribes to its topic.
+
+    Outside a worker of a cluster it does nothing.
+    """
+
+    def announce(iteration: int) -> None:
+        try:
+            worker = get_worker()
+        except ValueError:
+            return
+        worker.log_event(fit_topic(request), {"fit": fit, "iteration": iteration})
+
+    return announce
 
 
 def weigh_hypotheses(request: DiagnosisRequest, threads: int = 1) -> WeighingRecord:

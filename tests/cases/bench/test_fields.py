@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from palpate.service.diagnosis.diagnosis_console import DiagnosisProgress
+from palpate.service.diagnosis.diagnosis_run import Step
 from palpate.service.report.diagnosis.specimen_pictures import misfits_of
 from palpate.storage.errors import InputError
 from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
@@ -19,6 +20,7 @@ from palpate.workers.organs.specimen.observed_and_predicted import unexplained_a
 from palpate.workers.organs.specimen.specimen_checks import outside_intervals
 from palpate.workers.organs.specimen.specimen_effects import NOT_SIMULATED
 from palpate.workers.organs.specimen.specimen_source import SpecimenSource
+from palpate.workers.tasks.diagnosis_store import JointFitRecord
 from tests.cases.bench.bench_cases import FORCE_N, NU, SIZE, YOUNG_MPA, described, motion, write
 
 NODES = 500
@@ -243,3 +245,21 @@ def test_long_step_prints_progress_repeatedly():
     lines = file.getvalue().splitlines()
     assert 2 <= len(lines) <= 6
     assert all("still starting" in line for line in lines)
+
+
+def test_long_fits_print_their_iterations():
+    file = io.StringIO()
+    with DiagnosisProgress(Console(file=file, width=200), every_s=0.05) as progress:
+        progress(Step("refits", 0, 3))
+        progress.iterated("plate_tilt", 2)
+        progress.iterated("plate_friction", 1)
+        time.sleep(0.1)
+        progress(Step("refits", 1, 3, "plate_tilt", JointFitRecord(True, 1.0, 0.0, 0.0, True, 3)))
+        time.sleep(0.1)
+        progress(Step("refits", 0, 1))
+        time.sleep(0.1)
+    lines = [line.partition("] ")[2] for line in file.getvalue().splitlines()]
+    first = "still refitting the suspects: 0 of 3, plate_friction iteration 1, plate_tilt"
+    assert f"{first} iteration 2" in lines
+    assert "still refitting the suspects: 1 of 3, plate_friction iteration 1" in lines
+    assert lines[-1] == "still refitting the suspects"

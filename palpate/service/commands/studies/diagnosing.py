@@ -210,7 +210,7 @@ def _diagnosed(
         note("This diagnosis is in the store: nothing to compute.")
         return stored
     with session(scheduler, workers) as opened, DiagnosisProgress(progress_console()) as progress:
-        return run_and_tell(request, opened.dispatcher, source, progress)
+        return run_and_tell(request, opened.dispatcher, source, progress, progress.iterated)
 
 
 def _to_be_planned(summary: Summary, source: Path, wanted: bool | None) -> bool:

@@ -30,6 +30,7 @@ from palpate.workers.diagnosis.problem.scan_prediction import (
     registered,
     residuals,
 )
+from palpate.workers.fit_progress import tell_iteration
 from palpate.workers.kernels_and_threads import Each
 from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium
 
@@ -296,6 +297,7 @@ def fit(
     tolerance = SETTINGS.fit.place_tolerance if placed else SETTINGS.fit.tolerance
     length, secant, stalls = 1.0, SecantCurvature.unknown(len(z)), 0
     for iteration in range(1, max_iterations + 1):
+        tell_iteration(iteration)
         jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
         fresh = all(jacobian.fresh for jacobian in jacobians)
         J = np.vstack([jacobian.columns for jacobian in jacobians])

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from palpate.service.diagnosis.magnitude_words import (
     LEAST_MM,
@@ -129,9 +130,27 @@ def sentence(summary: Summary) -> str:
     return " ".join(filter(None, (headline(summary), noise(summary))))
 
 
+class Answers(NamedTuple):
+    """The verdict as answers to three questions, each empty if there is none.
+
+    Parameters
+    ----------
+    where : str
+        How large the gap is, and where it is largest.
+    which : str
+        The causes that explain it.
+    how_far : str
+        What they leave of it.
+    """
+
+    where: str
+    which: str = ""
+    how_far: str = ""
+
+
 def headline(summary: Summary) -> str:
     """Return the verdict: where model and data differ, which cause, how far it reduces the gap."""
-    return " ".join(filter(None, (*summary.doubts, _verdict(summary))))
+    return " ".join(filter(None, (*summary.doubts, *answers(summary))))
 
 
 def noise(summary: Summary) -> str:
@@ -148,34 +167,38 @@ def noise(summary: Summary) -> str:
     return " ".join(said)
 
 
-def _verdict(summary: Summary) -> str:
-    gap = summary.gap_mm
+def answers(summary: Summary) -> Answers:
+    """Return where model and data differ, which cause explains it, and how far it shrinks."""
     if summary.verdict == "no-gap":
         return _no_cause(summary)
     differ = _difference(summary)
     if summary.verdict == "none-of-these":
-        return f"{differ} No effect in the catalogue explains it."
+        return Answers(differ, "No effect in the catalogue explains it.")
+    return Answers(differ, _which(summary), _left(summary))
+
+
+def _which(summary: Summary) -> str:
+    """Return the named causes, or those that cannot be told apart."""
     if summary.verdict == "cannot-be-told-apart":
-        which = (
+        return (
             f"These {_loaded(summary)}s cannot decide: {together(summary.rivals)} explain it "
             f"almost equally well; the best is {_cause(summary, summary.primary[0])}."
         )
-    else:
-        causes = listed([_cause(summary, name) for name in summary.primary])
-        names = "The cause is" if len(summary.primary) == 1 else "The causes are"
-        which = f"{'A lead, not a finding:' if gap.checked_on == 'same scan' else names} {causes}."
-    return " ".join(filter(None, (differ, which, _left(summary))))
+    causes = listed([_cause(summary, name) for name in summary.primary])
+    names = "The cause is" if len(summary.primary) == 1 else "The causes are"
+    is_lead = summary.gap_mm.checked_on == "same scan"
+    return f"{'A lead, not a finding:' if is_lead else names} {causes}."
 
 
-def _no_cause(summary: Summary) -> str:
+def _no_cause(summary: Summary) -> Answers:
     gap = summary.gap_mm
     if gap.before.low_mm > gap.calibration_floor:
-        return f"{_difference(summary)} It is too small or too irregular to name a cause."
+        return Answers(_difference(summary), "It is too small or too irregular to name a cause.")
     agree = "Model and data agree: the residual is no larger than the noise."
     if summary.doubts:
         agree = "The residual is no larger than the noise, which does not make the fit right."
     most = length(max(gap.before.high_mm, least_length(gap)))
-    return f"{agree} A gap larger than {most} mm is unlikely."
+    return Answers(f"{agree} A gap larger than {most} mm is unlikely.")
 
 
 def _difference(summary: Summary) -> str:

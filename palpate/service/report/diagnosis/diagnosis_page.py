@@ -6,7 +6,7 @@ from pathlib import Path
 
 from palpate.service.diagnosis.diagnosed_constants import summary_json
 from palpate.service.diagnosis.diagnosis_run import FinishedDiagnosis
-from palpate.service.diagnosis.diagnosis_words import headline, noise, power, together
+from palpate.service.diagnosis.diagnosis_words import answers, noise, power, together
 from palpate.service.diagnosis.magnitude_words import length, millimetres
 from palpate.service.diagnosis.plan_words import acquisition_worth, is_undecided
 from palpate.service.diagnosis.reliability import reliability
@@ -84,7 +84,7 @@ def diagnosis_context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str,
     return {
         "name": summary.case,
         "caveats": summary.caveats or (),
-        "verdict": headline(summary).replace(" mm", "\u00a0mm"),
+        "answers": _answers(summary),
         "lead": _lead(summary),
         "loaded": _loaded(summary),
         "quote": quotable(summary),
@@ -129,6 +129,14 @@ def diagnosis_context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str,
         "json": json.dumps(to_plain(summary_json(summary)), indent=2, ensure_ascii=False),
         "closing": f"Made by Palpate {palpate_version()}.",
     }
+
+
+def _answers(summary: Summary) -> list[tuple[str, str]]:
+    """Return the verdict as pairs of a question and its answer."""
+    said = answers(summary)
+    where = " ".join([*summary.doubts, said.where])
+    pairs = zip(("Where", "Which", "How far"), (where, said.which, said.how_far), strict=True)
+    return [(asked, text.replace(" mm", "\u00a0mm")) for asked, text in pairs if text]
 
 
 def _not_simulated(summary: Summary) -> tuple[tuple[str, str], ...]:

@@ -34,6 +34,7 @@ from palpate.service.diagnosis.diagnosed_constants import judged_constants  # no
 from palpate.service.diagnosis.diagnosis_run import finished, request_for  # noqa: E402
 from palpate.service.diagnosis.diagnosis_words import STRENGTHS, strength  # noqa: E402
 from palpate.storage.json_digests import to_json  # noqa: E402
+from palpate.workers.diagnosis.diagnosis_settings import SETTINGS  # noqa: E402
 from palpate.workers.tasks import diagnosis_tasks as tasks  # noqa: E402
 from palpate.workers.tasks.diagnosis_store import DiagnosisRequest, DiagnosisStore  # noqa: E402
 
@@ -77,6 +78,12 @@ class Judged:
     left_gain : float
     intervals : tuple of bool
         For each constant that may be quoted, whether its interval contains the truth.
+    magnitudes : mapping of str to tuple of bool
+        For each named effect that acts, whether each of its magnitudes is within two standard
+        deviations of the truth.
+    unscreened : mapping of str to float
+        Gains of the effects that screening left out.
+    unscreened_cpu_s : float
     cpu_s : float
     """
 
@@ -93,6 +100,9 @@ class Judged:
     residuals_mm: Mapping[str, float]
     left_gain: float
     intervals: tuple[bool, ...]
+    magnitudes: Mapping[str, tuple[bool, ...]]
+    unscreened: Mapping[str, float]
+    unscreened_cpu_s: float
     cpu_s: float
 
     @property
@@ -221,6 +231,9 @@ def read_judged(file: Path) -> Judged:
         residuals_mm=record["residuals_mm"],
         left_gain=summary["left_gain"],
         intervals=tuple(covered(record["quotable"], truth["constants_kPa"])),
+        magnitudes=dict(magnitudes_within(summary, true_magnitudes(truth))),
+        unscreened=record["unscreened"],
+        unscreened_cpu_s=record["unscreened_cpu_s"],
         cpu_s=record["cpu_s"],
     )
 
@@ -248,6 +261,55 @@ def covered(quoted: Mapping[str, Any], truth: Mapping[str, float]) -> Iterable[b
             yield interval[0] <= truth[known[name]] <= interval[1]
 
 
+def true_magnitudes(truth: Mapping[str, Any]) -> Mapping[str, Mapping[str, float]]:
+    """Return true parameters by effect, in the catalogue's terms, as far as they correspond."""
+    if "causes" not in truth:
+        spec = truth["spec"]
+        effects, given = EFFECTS.get(spec["kind"], spec["kind"]).split(), [spec]
+    else:
+        effects = [cause["effect"] for cause in truth["causes"]]
+        given = [cause["parameters"] for cause in truth["causes"]]
+    return {
+        effect: magnitudes
+        for effect, one in zip(effects, given * len(effects), strict=False)
+        if effect and (magnitudes := dict(_magnitudes(effect, one)))
+    }
+
+
+def _magnitudes(effect: str, given: Mapping[str, Any]) -> Iterable[tuple[str, float]]:
+    if effect == "plate_friction":
+        yield "friction", given.get("friction", given.get("mu"))
+    elif effect == "wall_compliance":
+        yield "wall_compliance_mm_per_kpa", given.get("chest", given.get("c_mm_per_kPa"))
+    elif effect == "plate_tilt":
+        depth, across = given.get("tilt") or (given["tilt_x"], given.get("tilt_z", 0.0))
+        yield from (("tilt_depth_deg", depth), ("tilt_across_deg", across))
+    elif effect == "gravity_change":
+        names = ("gravity_x_g", "gravity_y_g", "gravity_z_g")
+        yield from zip(names, given.get("gravity", given.get("g")), strict=True)
+    elif effect == "inclusion":
+        yield "inclusion_ln_ratio", float(np.log(given["ratio"]))
+    elif effect == "skin_added":
+        yield "skin_n_per_m", 1000.0 * given["E_MPa"] * given["t"]
+
+
+def magnitudes_within(
+    summary: Mapping[str, Any], truth: Mapping[str, Mapping[str, float]]
+) -> Iterable[tuple[str, tuple[bool, ...]]]:
+    """Yield, for each named effect that acts, which magnitudes are within two deviations."""
+    for effect in summary["effects"]:
+        name = effect["name"]
+        if name in summary["primary"] and name in truth:
+            sizes = {one["parameter"]: one for one in effect["parameters"]}
+            yield (
+                name,
+                tuple(
+                    abs(sizes[p]["magnitude"] - true) <= 2.0 * sizes[p]["sd"]
+                    for p, true in truth[name].items()
+                ),
+            )
+
+
 def tables(judged: Sequence[Judged]) -> Iterable[str]:
     """Yield the lines of all tables."""
     yield "| set | controls alarmed | named first | among rivals | in full | intervals |"
@@ -260,10 +322,51 @@ def tables(judged: Sequence[Judged]) -> Iterable[str]:
     yield "|---|---|---|"
     yield from baselines(judged)
     yield ""
+    yield "| magnitudes of named effects | within two standard deviations |"
+    yield "|---|---|"
+    yield from magnitude_rows(judged)
+    if any(one.unscreened for one in judged):
+        yield ""
+        yield (
+            "| no clear evidence | bodies | largest gain of an effect left out (nats) | causes "
+            "lost | CPU s | CPU s of the fits left out |"
+        )
+        yield "|---|---|---|---|---|---|"
+        yield from screening_rows(judged)
+    yield ""
     yield "| gain of the first name | right |"
     yield "|---|---|"
     for band in reliability_of(judged):
         yield f"| {band['word']} | {band['right']} of {band['named']} |"
+
+
+def magnitude_rows(judged: Sequence[Judged]) -> Iterable[str]:
+    """Yield, for each effect, how many of its magnitudes are within two standard deviations."""
+    names = sorted({name for one in judged for name in one.magnitudes})
+    for name in names:
+        within = [hit for one in judged for hit in one.magnitudes.get(name, ())]
+        yield f"| {name.replace('_', ' ')} | {sum(within)} of {len(within)} |"
+
+
+def screening_rows(judged: Sequence[Judged]) -> Iterable[str]:
+    """Yield what fits of the effects left out by screening would have cost and found."""
+    looked = [one for one in judged if one.unscreened]
+    first = SETTINGS.selection.first
+    for kind, some in (
+        ("nothing missing", [one for one in looked if one.is_control]),
+        ("an effect missing", [one for one in looked if not one.is_control]),
+    ):
+        found = [max(one.unscreened.values()) for one in some]
+        lost = sum(
+            max(one.unscreened.get(name, 0.0) for name in one.truth) > first
+            for one in some
+            if one.truth
+        )
+        spent = sum(one.unscreened_cpu_s for one in some), sum(one.cpu_s for one in some)
+        yield (
+            f"| {kind} | {len(some)} | {max(found, default=0.0):.1f} | {lost} | {spent[1]:.0f} | "
+            f"{spent[0]:.0f} |"
+        )
 
 
 def row(name: str, judged: Sequence[Judged]) -> str:

@@ -330,9 +330,9 @@ class JointFitSettings:
     # [cost] An effect that gains less than this, in nats, is not fitted. In 20 opened bodies, none
     # of 18 such refits gained more than 1.4 nats, and most lost evidence; a lump takes 10 to 30 s.
     least_gain: float = 1.0
-    # [cost] An effect whose expected gain over the residuals of a fit is smaller is not added: it
-    # would have to gain three times as much to be named.
-    second_gain: float = 5.0
+    # [cost] An effect is not added to a fit if screening expects less than this part of the gain
+    # for which it would be named.
+    second_share: float = 0.33
     # [numerics] Start of a fit, as a fraction of the value expected from screening. A one-sided
     # parameter, which has a secant, starts at the expected value itself.
     start: float = 0.5
@@ -415,8 +415,9 @@ class SelectionSettings:
     # most 3.6 nats, except 7.9 with half the true noise stated and 25.8 with a displaced scan; true
     # causes that can be seen gain 14 and more.
     first: float = 10.0
-    # [gap-opened2] A further one if it adds more than this.
-    further: float = 15.0
+    # [gap-opened2] A further one if it adds more than this. Wrong ones add up to 28 nats, because
+    # the first has another form than the catalogue's; true ones add 99 and more.
+    further: float = 30.0
     # [principle] The same where points were measured: their noise is known, and no segmentation
     # differs at all of them alike, so one threshold holds for all causes.
     further_measured: float = 10.0

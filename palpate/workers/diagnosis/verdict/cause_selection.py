@@ -72,9 +72,9 @@ def selected(
 
     Examples
     --------
-    >>> selected({("tilt",): 20.0, ("friction",): 4.0, ("tilt", "friction"): 50.0})
+    >>> selected({("tilt",): 20.0, ("friction",): 4.0, ("tilt", "friction"): 60.0})
     ('tilt', 'friction')
-    >>> selected({("tilt",): 20.0, ("tilt", "friction"): 30.0}), selected({("tilt",): 3.0})
+    >>> selected({("tilt",): 20.0, ("tilt", "friction"): 40.0}), selected({("tilt",): 3.0})
     (('tilt',), ())
     """
     settings, gain = SETTINGS.selection, 0.0

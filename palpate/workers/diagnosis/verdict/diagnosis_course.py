@@ -163,10 +163,11 @@ def extensions(analysis: NominalAnalysis, known: Catalogue, fitted: JointFit) ->
     excluded = {*fitted.names, *analysis.hidden}
     others = [one for one in analysis.sensitivities if one.name not in excluded]
     at = fitted.fit.linearised(analysis.inverse).holding(fitted.fit.at_bound != 0)
+    least = settings.second_share * _further(analysis)
     loud = [
         result
         for result in screen(at, others)
-        if not result.hides and result.log_bayes_factor > settings.second_gain
+        if not result.hides and result.log_bayes_factor > least
     ]
     return [(*fitted.effects, known[one.name]) for one in loud[: settings.partners]]
 

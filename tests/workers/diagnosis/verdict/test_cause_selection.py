@@ -46,7 +46,7 @@ CASES = {
     "a field larger than rivals": Case({A: 50.0, B: 50.0}, "none-of-these", left=51.0),
     "a pair that adds too little": Case({A: 50.0, AB: 50.0 + FURTHER}, "effect", "a"),
     "a pair": Case({A: 50.0, AB: 50.0 + FURTHER + MORE}, "effect", "a b"),
-    "a pair of rivals": Case({A: 50.0, B: 49.0, AB: 70.0}, "effect", "a b"),
+    "a pair of rivals": Case({A: 50.0, B: 49.0, AB: 90.0}, "effect", "a b"),
     "a pair that leaves rivals": Case(
         {A: 50.0, B: 49.0, AB: 64.0}, "cannot-be-told-apart", "a", "a b"
     ),
@@ -59,12 +59,12 @@ CASES = {
     ),
     "a pair without the best effect": Case({A: 50.0, B: 40.0, ("b", "c"): 99.0}, "effect", "a"),
     "a triple that adds too little": Case(
-        {A: 50.0, AB: 70.0, ABC: 70.0 + FURTHER}, "effect", "a b"
+        {A: 50.0, AB: 90.0, ABC: 90.0 + FURTHER}, "effect", "a b"
     ),
-    "a triple": Case({A: 50.0, AB: 70.0, ABC: 70.0 + FURTHER + MORE}, "effect", "a b c"),
+    "a triple": Case({A: 50.0, AB: 90.0, ABC: 90.0 + FURTHER + MORE}, "effect", "a b c"),
     "a triple without its pair": Case({A: 50.0, ABC: 120.0}, "effect", "a"),
     "the best of two pairs": Case(
-        {A: 50.0, AB: 70.0, ("c", "a"): 75.0, ABC: 120.0}, "effect", "a c b"
+        {A: 50.0, AB: 90.0, ("c", "a"): 95.0, ABC: 140.0}, "effect", "a c b"
     ),
     "a hidden effect gains most": Case({A: 20.0, B: 60.0}, "effect", "a", hidden="b"),
     "a hidden effect is no rival": Case({A: 20.0, B: 19.0}, "effect", "a", hidden="b"),

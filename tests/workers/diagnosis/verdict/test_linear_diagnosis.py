@@ -44,7 +44,7 @@ def test_each_strong_effect_is_named(index):
 
 def test_a_pair_of_acting_effects_is_found():
     tilt, stiffening = catalogue()[1], catalogue()[4]
-    signal = -0.6 * tilt.columns[:, 0] - 0.7 * stiffening.columns[:, 0]
+    signal = -0.9 * tilt.columns[:, 0] - 1.1 * stiffening.columns[:, 0]
     problem = observed(nominal_problem(), np.random.default_rng(53), signal)
     found = linear_diagnosis(problem, catalogue())
     assert found.verdict.kind == "effect"

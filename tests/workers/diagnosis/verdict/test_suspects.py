@@ -169,7 +169,7 @@ def loud(names: Names, other: str) -> float:
 
 
 def silent(names: Names, other: str) -> float:
-    return SETTINGS.joint_fits.second_gain
+    return SETTINGS.joint_fits.second_share * FURTHER
 
 
 def test_nothing_is_fitted_if_nothing_gains(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,7 +182,7 @@ def test_nothing_is_fitted_if_nothing_gains(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_extends_the_best_effect_until_nothing_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     gains = table({"a": 20.0, "b": 50.0, "c": 10.0, "b c": 90.0, "b a": 55.0}, 80.0)
-    support = {("b",): {"a": 9.0, "c": 40.0}}
+    support = {("b",): {"a": 12.0, "c": 40.0}}
 
     def left(names: Names, other: str) -> float:
         return support.get(names, {}).get(other, 0.0)
@@ -226,7 +226,7 @@ def test_every_visible_effect_is_fitted_before_none_of_these(
     """Screening missed the effect that acts, which then has a partner."""
     screening = {"a": 5.0, "missed": -3.0, "hidden": 90.0, "b": 0.0}
     analysis = analysed(screening, ["hidden"], left=lambda names: 5.0 if names else 40.0)
-    gains = table({"a": 2.0, "missed": 60.0, "missed b": 90.0})
+    gains = table({"a": 2.0, "missed": 60.0, "missed b": 99.0})
     found, requests = run(analysis, gains, loud, monkeypatch)
     assert requests == [
         [("a",)],

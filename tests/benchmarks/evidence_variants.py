@@ -5,7 +5,8 @@
 OUT is the folder of `tests.benchmarks.foreign_bodies`, whose fits are read. For each variant, the
 gains of all these fits are computed again from their linearisations, which include one further
 step, and causes are named by forward selection. Every variant may raise as many alarms as the
-shipped evidence with its threshold; its own threshold follows from that.
+shipped evidence with its threshold; its own threshold follows from that. The last row takes the
+threshold of each set from the controls of the other sets.
 """
 
 import argparse
@@ -204,20 +205,30 @@ def table(judged: Sequence[Judged], scored: Sequence[Mapping[str, Any]]) -> Iter
     for variant in VARIANTS:
         gains = sorted((best_gain(one, variant) for one in controls), reverse=True)
         least = first if variant == SHIPPED else max(gains[allowed], 0.0)
-        yield row(variant, least, pairs)
+        yield row(variant, f"{least:.1f}", [(one, scored, least) for one, scored in pairs])
+    sets = {one.set for one in judged}
+    leasts = {name: threshold(pair for pair in pairs if pair[0].set != name) for name in sets}
+    others = ", ".join(f"{least:.1f}" for _, least in sorted(leasts.items()))
+    yield row(SHIPPED, others, [(one, scored, leasts[one.set]) for one, scored in pairs])
 
 
-def row(variant: str, least: float, pairs: Sequence[tuple[Judged, Mapping[str, Any]]]) -> str:
-    """Return the counts of one variant with its threshold as a row of the table."""
-    further = least * SETTINGS.selection.further / SETTINGS.selection.first
-    named = [(one, named_by(gains, variant, least, further)) for one, gains in pairs]
+def threshold(pairs: Iterable[tuple[Judged, Mapping[str, Any]]]) -> float:
+    """Return the least gain that one control of some sets exceeds, and no less than a tie."""
+    gains = sorted((best_gain(scored, SHIPPED) for one, scored in pairs if one.is_control))
+    return max([SETTINGS.selection.tie, *gains[-2:-1]])
+
+
+def row(variant: str, first: str, pairs: Sequence[tuple[Judged, Mapping[str, Any], float]]) -> str:
+    """Return the counts of one variant with each body's threshold as a row of the table."""
+    ratio = SETTINGS.selection.further / SETTINGS.selection.first
+    named = [(one, named_by(gains, variant, least, ratio * least)) for one, gains, least in pairs]
+    spent = np.mean([gains["seconds"][variant] for _, gains, _ in pairs])
     alarmed = [bool(names) for one, names in named if one.is_control]
-    first = [names[:1] == one.truth for one, names in named if len(one.truth) == 1 and one.listed]
+    right = [names[:1] == one.truth for one, names in named if len(one.truth) == 1 and one.listed]
     full = [{*names} == {*one.truth} for one, names in named if one.truth and one.listed]
-    spent = np.mean([gains["seconds"][variant] for _, gains in pairs])
     return (
-        f"| {variant} | {least:.1f} | {sum(alarmed)} of {len(alarmed)} | {sum(first)} of "
-        f"{len(first)} | {sum(full)} of {len(full)} | {spent:.1f} |"
+        f"| {variant} | {first} | {sum(alarmed)} of {len(alarmed)} | {sum(right)} of "
+        f"{len(right)} | {sum(full)} of {len(full)} | {spent:.1f} |"
     )
 
 

@@ -35,6 +35,7 @@ from palpate.service.diagnosis.diagnosis_run import finished, request_for  # noq
 from palpate.service.diagnosis.diagnosis_words import STRENGTHS, strength  # noqa: E402
 from palpate.storage.json_digests import to_json  # noqa: E402
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS  # noqa: E402
+from palpate.workers.diagnosis.verdict.cause_selection import selected  # noqa: E402
 from palpate.workers.tasks import diagnosis_tasks as tasks  # noqa: E402
 from palpate.workers.tasks.diagnosis_store import DiagnosisRequest, DiagnosisStore  # noqa: E402
 
@@ -212,7 +213,7 @@ def others_fitted(request: DiagnosisRequest, store: DiagnosisStore) -> dict[str,
 
 
 def read_judged(file: Path) -> Judged:
-    """Read a stored result."""
+    """Read a stored result; its causes are named from its gains, with the thresholds of now."""
     record = json.loads(file.read_text())
     truth, summary = record["truth"], record["summary"]
     kind, effects, listed = truth_of(truth)
@@ -223,7 +224,7 @@ def read_judged(file: Path) -> Judged:
         kind=kind,
         truth=effects,
         listed=listed,
-        named=tuple(summary["primary"]),
+        named=selected(fits, summary["absorbed"]) if summary["primary"] else (),
         rivals=tuple(summary["rivals"]),
         verdict=summary["verdict"],
         singles={who[0]: gain for who, gain in fits.items() if len(who) == 1},
@@ -290,7 +291,7 @@ def _magnitudes(effect: str, given: Mapping[str, Any]) -> Iterable[tuple[str, fl
     elif effect == "inclusion":
         yield "inclusion_ln_ratio", float(np.log(given["ratio"]))
     elif effect == "skin_added":
-        yield "skin_n_per_m", 1000.0 * given["E_MPa"] * given["t"]
+        yield "skin_added_n_per_m", 1000.0 * given["E_MPa"] * given["t"]
 
 
 def magnitudes_within(
@@ -334,10 +335,10 @@ def tables(judged: Sequence[Judged]) -> Iterable[str]:
         yield "|---|---|---|---|---|---|"
         yield from screening_rows(judged)
     yield ""
-    yield "| gain of the first name | right |"
-    yield "|---|---|"
+    yield "| gain of the first name | right | cause not in the catalogue |"
+    yield "|---|---|---|"
     for band in reliability_of(judged):
-        yield f"| {band['word']} | {band['right']} of {band['named']} |"
+        yield f"| {band['word']} | {band['right']} of {band['named']} | {band['unlisted']} |"
 
 
 def magnitude_rows(judged: Sequence[Judged]) -> Iterable[str]:
@@ -412,7 +413,8 @@ def reliability_of(judged: Sequence[Judged]) -> list[dict[str, Any]]:
     for word in ("weak", "clear", "strong"):
         named = [one for one in judged if one.named and strength(one.gain) == word]
         right = sum(one.named[0] in one.truth for one in named)
-        found.append({"word": word, "named": len(named), "right": right})
+        unlisted = sum(not one.listed and one.named[0] not in one.truth for one in named)
+        found.append({"word": word, "named": len(named), "right": right, "unlisted": unlisted})
     return found
 
 

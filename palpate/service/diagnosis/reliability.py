@@ -26,13 +26,15 @@ class Band:
     ----------
     word : str
         See `strength`.
-    named, right : int
-        Bodies for which a cause was named with it, and those of them where that cause acts.
+    named, right, unlisted : int
+        Bodies for which a cause was named with it, those of them where that cause acts, and those
+        whose cause is not in the catalogue.
     """
 
     word: str
     named: int
     right: int
+    unlisted: int
 
 
 @cache
@@ -42,11 +44,20 @@ def bands() -> Sequence[Band]:
 
 
 def reliability(gain: float) -> str:
-    """Return how often a cause named with such a gain was right; empty after too few bodies."""
-    band = next((one for one in bands() if one.word == strength(gain)), None)
-    if band is None or band.named < FEWEST:
+    """Return how often a cause named with such a gain was right; empty after too few bodies.
+
+    Bands with few bodies are counted together.
+    """
+    counted = [one for one in bands() if one.word == strength(gain)]
+    if any(one.named < FEWEST for one in counted):
+        counted = [one for one in bands() if one.named < FEWEST]
+    named, right = sum(one.named for one in counted), sum(one.right for one in counted)
+    if named < FEWEST:
         return ""
+    words = " or ".join(one.word for one in counted)
+    unlisted = sum(one.unlisted for one in counted)
+    others = f"; the cause of {unlisted} others is not in the catalogue" if unlisted else ""
     return (
-        f"Of {band.named} bodies of another solver with {band.word} evidence, the cause named "
-        f"first was right in {band.right}."
+        f"Of {named} bodies of another solver with {words} evidence, the cause named first was "
+        f"right in {right}{others}."
     )

@@ -62,8 +62,10 @@ def scored_case(asked: tuple[Path, Path]) -> Mapping[str, Any]:
     case, out = asked
     name = f"{case.parent.name}-{case.name}"
     file = out / "variants" / f"{name}.json"
-    if file.is_file():
-        return dict(json.loads(file.read_text()))
+    found = json.loads(file.read_text()) if file.is_file() else {"gains": {}, "seconds": {}}
+    left = {what: make for what, make in VARIANTS.items() if what not in found["gains"]}
+    if not left:
+        return dict(found)
     file.parent.mkdir(exist_ok=True)
     store = DiagnosisStore(request_for(case, out / "stores" / name))
     record = json.loads((out / f"{name}.json").read_text())
@@ -72,14 +74,13 @@ def scored_case(asked: tuple[Path, Path]) -> Mapping[str, Any]:
     loaded = {names: store.load_joint_fit(store.combination(names)) for names in refits}
     fits = {names: one.fit for names, one in loaded.items() if one is not None}
     analysis = store.analysis
-    gains, seconds = {}, {}
-    for variant, make in VARIANTS.items():
+    for variant, make in left.items():
         begun = time.process_time()
         score = make(analysis)
         base = score(analysis.nominal)
-        gains[variant] = {"+".join(names): score(fit) - base for names, fit in fits.items()}
-        seconds[variant] = time.process_time() - begun
-    found = {"gains": gains, "seconds": seconds, "hidden": sorted(analysis.hidden)}
+        found["gains"][variant] = {"+".join(who): score(fit) - base for who, fit in fits.items()}
+        found["seconds"][variant] = time.process_time() - begun
+    found["hidden"] = sorted(analysis.hidden)
     file.write_text(json.dumps(found, indent=1, default=float))
     return found
 
@@ -139,6 +140,12 @@ def without_numerics(analysis: NominalAnalysis) -> Score:
     return scored_with(analysis, replace(noise, numerical=noise.numerical[:, :0]))
 
 
+def without_either(analysis: NominalAnalysis) -> Score:
+    """Return the evidence without a numerical error and without contour bias."""
+    noise = noise_of(analysis)
+    return scored_with(analysis, replace(noise, numerical=noise.numerical[:, :0]), contours=False)
+
+
 def without_poses(analysis: NominalAnalysis) -> Score:
     """Return the evidence with all scans in their exact positions."""
     return scored_with(analysis, noise_of(analysis), poses=False)
@@ -190,6 +197,7 @@ VARIANTS: Mapping[str, Callable[[NominalAnalysis], Score]] = {
     "without poses": without_poses,
     "without contour bias": without_contours,
     "without numerical error": without_numerics,
+    "without numerical error and contour bias": without_either,
     RESIDUAL: smallest_residual,
 }
 

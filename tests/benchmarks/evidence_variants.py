@@ -2,11 +2,12 @@
 
     python -m tests.benchmarks.evidence_variants OUT SET [SET ...] [--workers 2]
 
-OUT is the folder of `tests.benchmarks.foreign_bodies`, whose fits are read. For each variant, the
-gains of all these fits are computed again from their linearisations, which include one further
-step, and causes are named by forward selection. Every variant may raise as many alarms as the
-shipped evidence with its threshold; its own threshold follows from that. The last row takes the
-threshold of each set from the controls of the other sets.
+OUT is the folder of `tests.benchmarks.foreign_bodies --unscreened`, whose fits are read. For each
+variant, the gains of all these fits are computed again from their linearisations, which include one
+further step, and causes are named by forward selection. Every variant may raise as many alarms as
+the shipped evidence with its threshold; its own threshold follows from that, and the threshold of a
+further cause grows in proportion. The last row takes the threshold of each set from the controls of
+the other sets.
 """
 
 import argparse
@@ -30,9 +31,9 @@ from palpate.workers.diagnosis.fits.gauss_newton import Fit
 from palpate.workers.diagnosis.laplace_evidence import log_evidence
 from palpate.workers.diagnosis.linearisation import Linearised, factored
 from palpate.workers.diagnosis.noise.noise_components import LearntNoise
-from palpate.workers.diagnosis.verdict.cause_selection import MOST_EFFECTS
+from palpate.workers.diagnosis.verdict.cause_selection import selected
 from palpate.workers.tasks.diagnosis_store import DiagnosisStore
-from tests.benchmarks.foreign_bodies import Judged, is_case, read_judged  # sets the threads first
+from tests.benchmarks.foreign_bodies import Judged, is_case, read_judged
 
 Score = Callable[[Fit], float]
 SHIPPED = "one learnt scale per interface"
@@ -228,8 +229,7 @@ def threshold(pairs: Iterable[tuple[Judged, Mapping[str, Any]]]) -> float:
 
 def row(variant: str, first: str, pairs: Sequence[tuple[Judged, Mapping[str, Any], float]]) -> str:
     """Return the counts of one variant with each body's threshold as a row of the table."""
-    ratio = SETTINGS.selection.further / SETTINGS.selection.first
-    named = [(one, named_by(gains, variant, least, ratio * least)) for one, gains, least in pairs]
+    named = [(one, named_by(gains, variant, least)) for one, gains, least in pairs]
     spent = np.mean([gains["seconds"][variant] for _, gains, _ in pairs])
     alarmed = [bool(names) for one, names in named if one.is_control]
     right = [names[:1] == one.truth for one, names in named if len(one.truth) == 1 and one.listed]
@@ -247,24 +247,11 @@ def best_gain(scored: Mapping[str, Any], variant: str) -> float:
     return max((g for who, g in gains.items() if "+" not in who and who not in hidden), default=0.0)
 
 
-def named_by(
-    scored: Mapping[str, Any], variant: str, first: float, further: float
-) -> tuple[str, ...]:
-    """Return the effects that forward selection names with given thresholds."""
+def named_by(scored: Mapping[str, Any], variant: str, first: float) -> tuple[str, ...]:
+    """Return the effects named with a threshold for the first, and that of others in proportion."""
     gains = {tuple(who.split("+")): gain for who, gain in scored["gains"][variant].items()}
-    hidden, chosen, so_far = set(scored["hidden"]), (), 0.0
-    while len(chosen) < MOST_EFFECTS:
-        longer = {
-            who: gain
-            for who, gain in gains.items()
-            if len(who) == len(chosen) + 1 and {*chosen} < {*who} and not {*who} & hidden
-        }
-        best = max(longer, key=lambda who: longer[who], default=())
-        if not best or longer[best] - so_far <= (further if chosen else first):
-            break
-        chosen = (*chosen, *(name for name in best if name not in chosen))
-        so_far = longer[best]
-    return chosen
+    ratio = SETTINGS.selection.further / SETTINGS.selection.first
+    return selected(gains, scored["hidden"], ratio * first, first)
 
 
 if __name__ == "__main__":

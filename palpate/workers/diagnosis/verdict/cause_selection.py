@@ -64,11 +64,14 @@ Gains = Mapping[tuple[str, ...], float]
 
 
 def selected(
-    gains: Gains, hidden: Collection[str] = (), further: float = SETTINGS.selection.further
+    gains: Gains,
+    hidden: Collection[str] = (),
+    further: float = SETTINGS.selection.further,
+    first: float = SETTINGS.selection.first,
 ) -> tuple[str, ...]:
     """Return the effects that forward selection names, in the order of their selection.
 
-    A further effect must add more than `further` nats.
+    The first effect must gain more than `first` nats, a further one must add more than `further`.
 
     Examples
     --------
@@ -77,7 +80,7 @@ def selected(
     >>> selected({("tilt",): 20.0, ("tilt", "friction"): 40.0}), selected({("tilt",): 3.0})
     (('tilt',), ())
     """
-    settings, gain = SETTINGS.selection, 0.0
+    gain = 0.0
     chosen: tuple[str, ...] = ()
     while len(chosen) < MOST_EFFECTS:
         longer = {
@@ -88,7 +91,7 @@ def selected(
             and not set(effects) & set(hidden)
         }
         best = min(longer, key=lambda effects: (-longer[effects], effects), default=None)
-        least = further if chosen else settings.first
+        least = further if chosen else first
         if best is None or longer[best] - gain <= least:
             break
         chosen = (*chosen, *(name for name in best if name not in chosen))

@@ -24,7 +24,7 @@ from palpate.storage.stored_arrays import Arrays
 from palpate.storage.values import BoolArray
 from palpate.workers.comparison.observation.interface_residual import InterfacePoints
 from palpate.workers.diagnosis.fits.effect_sensitivities import scan_sensitivity
-from palpate.workers.diagnosis.fits.gauss_newton import SolvedFit
+from palpate.workers.diagnosis.fits.gauss_newton import Listener, SolvedFit, heard_by
 from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
 from palpate.workers.diagnosis.outcome.body_pictures import Displacements
 from palpate.workers.diagnosis.outcome.summarising import summarise
@@ -38,7 +38,6 @@ from palpate.workers.diagnosis.verdict.diagnosis_course import (
     diagnose,
 )
 from palpate.workers.diagnosis.verdict.joint_fit import fit_jointly
-from palpate.workers.fit_progress import Listener, heard_by
 from palpate.workers.kernels_and_threads import Each, scan_threads
 from palpate.workers.tasks.diagnosis_store import (
     CalibrationRecord,

@@ -8,7 +8,9 @@ is estimated from secants as in NL2SOL (J. E. Dennis, D. M. Gay and R. E. Welsch
 Softw. 7 (1981) 348), and used for the next step if it would have predicted the last step better.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -30,11 +32,25 @@ from palpate.workers.diagnosis.problem.scan_prediction import (
     registered,
     residuals,
 )
-from palpate.workers.fit_progress import tell_iteration
 from palpate.workers.kernels_and_threads import Each
 from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium
 
 SMALLEST_CURVATURE = 1e-12
+
+Listener = Callable[[int], object]
+"""Receives the number of an iteration when it begins."""
+
+_listener: ContextVar[Listener | None] = ContextVar("listener of fits", default=None)
+
+
+@contextmanager
+def heard_by(listener: Listener) -> Iterator[None]:
+    """Tell a listener of every iteration of the fits in this block and thread."""
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +313,8 @@ def fit(
     tolerance = SETTINGS.fit.place_tolerance if placed else SETTINGS.fit.tolerance
     length, secant, stalls = 1.0, SecantCurvature.unknown(len(z)), 0
     for iteration in range(1, max_iterations + 1):
-        tell_iteration(iteration)
+        if (listener := _listener.get()) is not None:
+            listener(iteration)
         jacobians = _jacobians(inverse, unknowns, z, predictions, jacobians, each)
         fresh = all(jacobian.fresh for jacobian in jacobians)
         J = np.vstack([jacobian.columns for jacobian in jacobians])

@@ -29,7 +29,7 @@ _PHASE_WORDS = {
     "preparation": "measuring distances to the interfaces",
     "calibration": "fitting the nominal constants",
     "effects": "simulating every effect",
-    "weighing": "weighing",
+    "weighing": "comparing the effects",
     "refits": "refitting the suspects",
     "loads": "simulating loads and the influence of every effect on them",
 }

@@ -62,7 +62,7 @@ class Step:
     Parameters
     ----------
     phase : {"preparation", "calibration", "effects", "weighing", "refits", "loads"}
-        A plan has only "loads".
+        A plan has "loads" and "weighing".
     done, of : int
         Completed tasks of the phase, and all of them; 0 when it begins.
     task : str
@@ -364,6 +364,7 @@ def run_plan(request: PlanRequest, dispatcher: Dispatcher, observe: Observer) ->
     for done, ending in enumerate(dispatcher.run(analyse_load, calls), start=1):
         record = value_of(ending, f"load {ending.key}")
         observe(Step("loads", done, len(loads), ending.key, record))
+    observe(Step("weighing", 0, 1))
     return dispatcher.call(weigh_plan, request)
 
 

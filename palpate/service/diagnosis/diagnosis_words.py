@@ -126,7 +126,7 @@ def strength(gain: float | None) -> str:
 
 
 def sentence(summary: Summary) -> str:
-    """Return the verdict with notes on absorbed effects and on the noise."""
+    """Return the verdict with a note on the noise."""
     return " ".join(filter(None, (headline(summary), noise(summary))))
 
 
@@ -178,8 +178,8 @@ def answers(summary: Summary) -> Answers:
 
 
 def _which(summary: Summary) -> str:
-    """Return the named causes, or those that cannot be told apart."""
-    if summary.verdict == "cannot-be-told-apart":
+    """Return the named causes, or those that these data cannot distinguish."""
+    if is_undecided(summary):
         return (
             f"These {_loaded(summary)}s cannot decide: {together(summary.rivals)} explain it "
             f"almost equally well; the best is {_cause(summary, summary.primary[0])}."
@@ -188,6 +188,11 @@ def _which(summary: Summary) -> str:
     names = "The cause is" if len(summary.primary) == 1 else "The causes are"
     is_lead = summary.gap_mm.checked_on == "same scan"
     return f"{'A lead, not a finding:' if is_lead else names} {causes}."
+
+
+def is_undecided(summary: Summary) -> bool:
+    """Check whether several causes remain possible."""
+    return summary.verdict == "cannot-be-told-apart"
 
 
 def _no_cause(summary: Summary) -> Answers:

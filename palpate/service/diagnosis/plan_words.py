@@ -16,6 +16,8 @@ from palpate.workers.diagnosis.plan_summary import (
 from palpate.workers.organs.organ_plugins import DEFAULT, catalogue_of
 
 PLAN_DIGITS = 2
+# Number of measurements to list.
+SHOWN_ACQUISITIONS = 4
 WHY_NOT_FOUND = {
     "hidden": "absorbed by the constants",
     "weak": "too weak at its plausible size",
@@ -123,15 +125,6 @@ def _best_measurement(plan: PlanSummary) -> str:
     return f"The most informative would be {first.name}: {measurement_gain(first)}."
 
 
-# Number of measurements to list.
-SHOWN_ACQUISITIONS = 4
-
-
-def is_undecided(summary: Summary) -> bool:
-    """Check whether several causes remain possible."""
-    return summary.verdict == "cannot-be-told-apart"
-
-
 def next_acquisitions(summary: Summary, plan: PlanSummary) -> tuple[NextAcquisition, ...]:
     """Rank the measurements evaluated in a plan, the most decisive first.
 
@@ -144,7 +137,7 @@ def next_acquisitions(summary: Summary, plan: PlanSummary) -> tuple[NextAcquisit
     plan : PlanSummary
         Plan for the same scans.
     """
-    suspects = {frozenset(p) for p in combinations(_suspects(summary), 2)}
+    suspects = {frozenset(p) for p in combinations(summary.rivals, 2)}
     hidden = set(summary.absorbed)
     options = [
         NextAcquisition(
@@ -173,7 +166,3 @@ def acquisition_worth(option: NextAcquisition) -> str:
         words.append(f"reveals {together(option.reveals)}")
     words.append(f"detection limits become {option.minimum_ratio:.2f} times as large")
     return "; ".join(words)
-
-
-def _suspects(summary: Summary) -> list[str]:
-    return list(summary.rivals)

@@ -1,7 +1,6 @@
 """How often a first cause was right on bodies of other solvers, by the gain of its fit.
 
-``reliability.json`` holds the counts, written by `tests.benchmarks.foreign_bodies --reliability`;
-they are zero until it has diagnosed bodies with this rule.
+``reliability.json`` holds the counts, written by `tests.benchmarks.foreign_bodies --reliability`.
 """
 
 import json

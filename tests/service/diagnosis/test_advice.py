@@ -11,7 +11,8 @@ import pytest
 
 from palpate.service.cli import main
 from palpate.service.diagnosis.diagnosis_run import request_for
-from palpate.service.diagnosis.plan_words import acquisition_worth, is_undecided, next_acquisitions
+from palpate.service.diagnosis.diagnosis_words import is_undecided
+from palpate.service.diagnosis.plan_words import acquisition_worth, next_acquisitions
 from palpate.storage.errors import InputError
 from palpate.storage.json_digests import from_json
 from palpate.workers.diagnosis.outcome.diagnosis_summary import NextAcquisition

@@ -33,6 +33,7 @@ from palpate.service.diagnosis.diagnosis_run import (
 )
 from palpate.service.diagnosis.diagnosis_words import (
     fitted_causes,
+    is_undecided,
     power,
     sentence,
     spoken,
@@ -44,7 +45,6 @@ from palpate.service.diagnosis.plan_words import (
     acquisition_worth,
     confused_effects,
     drift_advice,
-    is_undecided,
     measurement_gain,
     nearest_effect,
     next_acquisitions,

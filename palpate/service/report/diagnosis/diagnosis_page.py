@@ -6,9 +6,9 @@ from pathlib import Path
 
 from palpate.service.diagnosis.diagnosed_constants import summary_json
 from palpate.service.diagnosis.diagnosis_run import FinishedDiagnosis
-from palpate.service.diagnosis.diagnosis_words import answers, noise, power, together
+from palpate.service.diagnosis.diagnosis_words import answers, is_undecided, noise, power, together
 from palpate.service.diagnosis.magnitude_words import length, millimetres
-from palpate.service.diagnosis.plan_words import acquisition_worth, is_undecided
+from palpate.service.diagnosis.plan_words import acquisition_worth
 from palpate.service.diagnosis.reliability import reliability
 from palpate.service.installed_packages import palpate_version, versions
 from palpate.service.number_formatting import listed, number

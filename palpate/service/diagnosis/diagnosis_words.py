@@ -24,6 +24,8 @@ from palpate.workers.diagnosis.outcome.diagnosis_summary import (
 
 # A gap below this length and this fraction of the noise counts as none.
 NOTHING_MM, NOTHING_OF_NOISE = 0.005, 0.1
+# Solvers of the same model of a breast differ by up to this length at the points of its interfaces.
+SOLVERS_DIFFER_MM = 0.15
 # Name of the region that contains all points of an interface.
 WHOLE = "all"
 # Largest change in per cent that is given as visible.
@@ -212,7 +214,9 @@ def _difference(summary: Summary) -> str:
     if _is_nothing(gap.before, gap):
         return "The residual is below the noise level but systematic."
     worst = _worst_place(summary)
-    return f"Model and data differ by {millimetres(gap.before)} beyond the noise{worst}."
+    differ = f"Model and data differ by {millimetres(gap.before)} beyond the noise{worst}."
+    is_small = summary.noise is not None and gap.before.gap_mm < SOLVERS_DIFFER_MM
+    return f"{differ} Two solvers of one model may differ by as much." if is_small else differ
 
 
 def _worst_place(summary: Summary) -> str:

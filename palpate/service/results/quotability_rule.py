@@ -149,7 +149,7 @@ _ENDING = re.compile(r"(\D+?),? \(?([−\d][^\s()]*(?: to [−\d]\S*)?(?: [^\s\d
 
 
 def names_by_reason(answers: Mapping[N, Quotability]) -> list[tuple[list[tuple[N, str]], str]]:
-    """Return each reason once, after the names that it concerns.
+    """Return each name once, with the names that share its reasons, and the reasons.
 
     Reasons that differ only in the value or interval at their end are one. Every name has that
     ending beside it; it is empty for the other reasons.
@@ -160,26 +160,33 @@ def names_by_reason(answers: Mapping[N, Quotability]) -> list[tuple[list[tuple[N
     >>> names_by_reason({"E": weak[0], "eta": weak[1]})
     [([('E', '2 to 5 kPa'), ('eta', '1 to 9 kPa')], 'weakly determined')]
     """
-    whole: dict[str, list[N]] = {}
+    alike: dict[tuple[str, ...], list[N]] = {}
     for name, answer in answers.items():
-        for reason in answer.reasons:
-            whole.setdefault(reason, []).append(name)
-    heads: dict[str, list[str]] = {}
-    for reason in whole:
-        match = _ENDING.fullmatch(reason)
-        heads.setdefault(match[1] if match else reason, []).append(reason)
-    groups: list[tuple[list[tuple[N, str]], str]] = []
-    for head, reasons in heads.items():
-        if len(reasons) == 1:
-            groups.append(([(name, "") for name in whole[reasons[0]]], reasons[0]))
-            continue
-        endings = [(reason, match[2]) for reason in reasons if (match := _ENDING.fullmatch(reason))]
-        groups.append(([(name, end) for reason, end in endings for name in whole[reason]], head))
+        if answer.reasons:
+            alike.setdefault(tuple(map(_without_ending, answer.reasons)), []).append(name)
+    groups = []
+    for heads, names in alike.items():
+        shared = list(heads)
+        endings: dict[N, list[str]] = {name: [] for name in names}
+        for place in range(len(heads)):
+            reasons = [answers[name].reasons[place] for name in names]
+            if len(set(reasons)) == 1:
+                shared[place] = reasons[0]
+                continue
+            for name, reason in zip(names, reasons, strict=True):
+                endings[name].append(reason.removeprefix(heads[place]).strip(", ()"))
+        named = [(name, "; ".join(ends)) for name, ends in endings.items()]
+        groups.append((named, "; ".join(shared)))
     return groups
 
 
+def _without_ending(reason: str) -> str:
+    match = _ENDING.fullmatch(reason)
+    return match[1] if match else reason
+
+
 def reason_lines(answers: Mapping[str, Quotability]) -> list[str]:
-    """Return a sentence for each reason, with the names that may not be quoted for it.
+    """Return a sentence for the names that may not be quoted for the same reasons.
 
     Examples
     --------

@@ -472,8 +472,6 @@ class GapSettings:
 class PlanSettings:
     """Settings of the plan of an acquisition."""
 
-    # [principle] Log Bayes factor that counts as decisive: twenty to one.
-    clear: float = 3.0
     # [principle] An effect that moves the body this far meets no resistance: no organ could move as
     # far.
     drift_mm: float = 100.0

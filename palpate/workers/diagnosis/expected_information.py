@@ -12,9 +12,9 @@ For flat plates under a given force, this is the reduction in plate travel, apar
 penetration allowed by the penalty.
 
 An effect is *detectable* (`seen`) if, at its plausible size, it is expected to raise the log
-evidence over no gap by at least `clear` in the plan's settings, and if the constants do not hide
-it. Two effects are *distinguishable* (`apart`) if both are detectable and each, when it acts, is
-expected to beat the other by the same margin. If effect k acts at its prior scale, it beats j on
+evidence over no gap by as much as a diagnosis demands of a first cause, and if the constants do not
+hide it. Two effects are *distinguishable* (`apart`) if both are detectable and each, when it acts,
+is expected to beat the other by more than a tie. If effect k acts at its prior scale, it beats j on
 average by the Kullback-Leibler divergence between their predictions
 
 .. math:: \tfrac12 [ \mathrm{tr}(\Sigma_j^{-1} \Sigma_k) - m + \ln|\Sigma_j| - \ln|\Sigma_k| ],
@@ -351,7 +351,7 @@ class DesignEvaluation:
     @property
     def seen(self) -> BoolArray:
         """Mask of the detectable effects, which can be named or ruled out, shape (effects,)."""
-        return (self.evidence >= SETTINGS.plan.clear) & ~self.hidden
+        return (self.evidence > SETTINGS.selection.first) & ~self.hidden
 
     @property
     def hidden(self) -> BoolArray:
@@ -363,11 +363,11 @@ class DesignEvaluation:
         mostly = np.array(
             [row.absorbed > SETTINGS.detectability.hidden_share for row in self.rows], np.bool_
         )
-        return np.array(sunk, np.bool_) | (mostly & (self.evidence < SETTINGS.plan.clear))
+        return np.array(sunk, np.bool_) | (mostly & (self.evidence <= SETTINGS.selection.first))
 
     def apart(self) -> set[frozenset[str]]:
         """Return the pairs of effects that can be distinguished."""
-        return {pair for pair, worst in self.pairs().items() if worst >= SETTINGS.plan.clear}
+        return {pair for pair, worst in self.pairs().items() if worst > SETTINGS.selection.tie}
 
     def pairs(self) -> dict[frozenset[str], float]:
         """Return the smaller expected log Bayes factor of each pair of detectable effects."""

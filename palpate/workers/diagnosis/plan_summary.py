@@ -89,10 +89,7 @@ class FurtherMeasurement:
     reveals, silent : tuple of str
         Effects that are visible only with the measurement, and effects that remain invisible.
     minimum_ratio : float
-        Geometric mean of `minimum_ratios`.
-    minimum_ratios : mapping of str to float
-        Factor by which the minimum detectable magnitude of each effect changes.
-    absorbed_shares : mapping of str to float
+        Factor by which the minimum detectable magnitudes change; the geometric mean of all effects.
     not_simulated : tuple of str
         Effects that cannot be simulated under the additional load.
     """
@@ -104,8 +101,6 @@ class FurtherMeasurement:
     reveals: tuple[str, ...]
     silent: tuple[str, ...]
     minimum_ratio: float
-    minimum_ratios: Mapping[str, float]
-    absorbed_shares: Mapping[str, float]
     not_simulated: tuple[str, ...]
 
 
@@ -124,8 +119,9 @@ class PlanSummary:
         Noise of the segmentation.
     travel_mm : mapping of str to float
         Travel of the plates towards each other, by name of the load.
-    clear : float
-        Log Bayes factor that counts as decisive, in nats.
+    named_above, apart_above : float
+        Expected log evidence from which an effect is named, and from which it is distinguished from
+        another, in nats.
     effects : tuple of PlannedEffect
         Effects that act and could be simulated in all planned scans.
     cosines, log_evidence : tuple of tuple of float
@@ -153,7 +149,8 @@ class PlanSummary:
     points: int
     noise_mm: float
     travel_mm: Mapping[str, float]
-    clear: float
+    named_above: float
+    apart_above: float
     effects: tuple[PlannedEffect, ...]
     cosines: tuple[tuple[float, ...], ...]
     log_evidence: tuple[tuple[float, ...], ...]

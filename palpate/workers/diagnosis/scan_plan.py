@@ -253,7 +253,8 @@ def make_plan(
         points=len(unloaded.points),
         noise_mm=unloaded.noise.sd_mm,
         travel_mm={loads[n].name: load.travel_mm for n, load in sensitivities.items()},
-        clear=SETTINGS.plan.clear,
+        named_above=SETTINGS.selection.first,
+        apart_above=SETTINGS.selection.tie,
         effects=tuple(_effect(e, now, i) for i, e in enumerate(acting)),
         cosines=tuple(map(tuple, now.cosines.tolist())),
         log_evidence=tuple(map(tuple, now.separation.tolist())),
@@ -338,7 +339,7 @@ def _confusable(now: DesignEvaluation) -> list[ConfusablePair]:
     return [
         ConfusablePair(tuple(sorted(pair, key=order)), value)
         for pair, value in worst
-        if value < SETTINGS.plan.clear
+        if value <= SETTINGS.selection.tie
     ]
 
 
@@ -365,8 +366,6 @@ def _further(name: str, now: DesignEvaluation, then: DesignEvaluation) -> Furthe
         reveals=tuple(n for n, shown in visible if shown and not seen[n]),
         silent=tuple(n for n, shown in visible if not shown),
         minimum_ratio=float(np.exp(np.mean(np.log(list(ratios.values()))))),
-        minimum_ratios=ratios,
-        absorbed_shares={row.name: row.absorbed for row in then.rows},
         not_simulated=tuple(n for n in now.names if n not in known),
     )
 

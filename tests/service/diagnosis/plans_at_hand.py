@@ -14,8 +14,6 @@ def option(name: str, **changes: Any) -> FurtherMeasurement:
         "reveals": (),
         "silent": (),
         "minimum_ratio": 0.9,
-        "minimum_ratios": {},
-        "absorbed_shares": {},
         "not_simulated": (),
     }
     return FurtherMeasurement(name=name, **nothing | changes)
@@ -29,7 +27,8 @@ def plan_of(*options: FurtherMeasurement) -> PlanSummary:
         points=0,
         noise_mm=0.3,
         travel_mm={},
-        clear=3.0,
+        named_above=10.0,
+        apart_above=5.0,
         effects=(),
         cosines=(),
         log_evidence=(),

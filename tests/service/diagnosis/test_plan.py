@@ -61,7 +61,7 @@ def test_record_contains_the_plan(record: Json) -> None:
     assert record["pairs"] == len(names) * (len(names) - 1) // 2
     seen = sum(e["seen"] for e in record["effects"])
     assert record["told_apart"] + len(record["confusable"]) == seen * (seen - 1) // 2
-    assert all(pair["log_evidence"] < SETTINGS.plan.clear for pair in record["confusable"])
+    assert all(pair["log_evidence"] < SETTINGS.selection.tie for pair in record["confusable"])
     assert all(row[i] == 1.0 for i, row in enumerate(record["cosines"]))
     force = next(e for e in record["effects"] if e["name"] == "plate_force")
     assert force["absorbed_share"] > 0.95

@@ -11,8 +11,8 @@ from palpate.service.diagnosis.diagnosed_constants import (
     is_lead,
     judged_constants,
 )
-from palpate.service.diagnosis.diagnosis_words import together
-from palpate.service.number_formatting import joined, percent, signed_error, symbol
+from palpate.service.diagnosis.diagnosis_words import spoken, together
+from palpate.service.number_formatting import joined, listed, percent, signed_error, symbol
 from palpate.service.report.page.page_elements import quote_lines
 from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
 from palpate.workers.diagnosis.scan_plan import REDRAWN
@@ -59,8 +59,13 @@ def next_step(summary: Summary, command: str) -> Markup:
     if summary.verdict == "no-gap":
         return Markup("Nothing needs to be added to the model.")
     if summary.next_acquisitions:
-        name = summary.next_acquisitions[0].name
-        return Markup("{} {}.").format("Draw" if name == REDRAWN else "Measure", name)
+        best = summary.next_acquisitions[0]
+        pairs = [Markup("{} from {}").format(*map(spoken, pair)) for pair in best.separates]
+        to = f", to distinguish {listed(pairs)}" if pairs else ""
+        none = "; it is the best of those considered, but none separates the causes"
+        but = none if summary.rivals and not pairs else ""
+        verb = "Draw" if best.name == REDRAWN else "Measure"
+        return Markup("{} {}{}{}.").format(verb, best.name, to, but)
     if summary.verdict == "cannot-be-told-apart" and summary.markers is None:
         return Markup(
             "Find the measurement that would distinguish the causes: <code>{}</code>"

@@ -143,9 +143,6 @@ class Effect:
         Whether its parameters are 3 shifts in mm and 3 rotations in degrees of the whole scan.
         Points are then moved before they are compared with the scan. Default False: the
         residuals change by `shift`.
-    about_centre : bool
-        Whether an effect on the observation rotates, scales or shears about the middle of
-        the body. Default False: it does not depend on that point.
     is_mapped : bool
         Whether a report shows a map of the places where stiffer or softer tissue would explain
         the residuals. Its first parameter is that stiffness, and its `place` is inside the body.
@@ -191,7 +188,6 @@ class Effect:
     is_slow: bool = False
     follows_path: bool = False
     moves_scan: bool = False
-    about_centre: bool = False
     is_mapped: bool = False
     holds_body: bool = False
     is_confounded: bool = False

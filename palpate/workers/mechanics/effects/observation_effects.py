@@ -70,7 +70,6 @@ RIGID_MOTION = Effect(
     references=("J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE TMI 17 (1998) 694",),
     observation=_rigid_motion_columns,
     moves_scan=True,
-    about_centre=True,
 )
 
 
@@ -150,7 +149,6 @@ IMAGE_SCALE = Effect(
     transform=unchanged_problem,
     references=("D. Wang et al., Magn. Reson. Imaging 22 (2004) 1211",),
     observation=_image_scale_columns,
-    about_centre=True,
     truth=_true_image_scale,
 )
 
@@ -196,7 +194,6 @@ IMAGE_SHEAR = Effect(
     transform=unchanged_problem,
     references=("D. Wang et al., Magn. Reson. Imaging 22 (2004) 1211",),
     observation=_image_shear_columns,
-    about_centre=True,
 )
 
 

@@ -182,6 +182,35 @@ def test_a_second_segmentation_is_drawn_not_measured() -> None:
     assert "Draw a second segmentation of every scan." in text
 
 
+@pytest.mark.parametrize(
+    ("separates", "words"),
+    [
+        ([["plate_tilt", "fibre_fan"]], "Measure 9 N, to distinguish plate tilt from fibre fan."),
+        ([], "Measure 9 N; it is the best of those considered, but none separates the causes."),
+    ],
+)
+def test_next_measurement_says_whether_it_separates_the_causes(
+    separates: list[list[str]], words: str
+) -> None:
+    option = {"name": "9 N", "separates": separates, "reveals": [], "minimum_ratio": 0.8}
+    told = summary(
+        verdict="cannot-be-told-apart",
+        rivals=["plate_tilt", "fibre_fan"],
+        next_acquisitions=[option],
+    )
+    assert words in Page(render_diagnosis(found(told))).text
+
+
+@pytest.mark.parametrize(("gap_mm", "is_small"), [(0.14, True), (0.16, False)])
+def test_a_small_gap_may_be_the_solver_s(gap_mm: float, is_small: bool) -> None:
+    gap = summary()["gap_mm"]
+    before = gap["before"] | {"gap_mm": gap_mm}
+    noise = [{"interface": "skin", "stated_mm": 0.2, "learnt_mm": 0.2}]
+    words = "Two solvers of one model may differ by as much."
+    assert (words in sentence_of(summary(gap_mm=gap | {"before": before}, noise=noise))) == is_small
+    assert words not in sentence_of(summary(gap_mm=gap | {"before": before}))
+
+
 def test_a_state_of_a_specimen_is_no_scan() -> None:
     told = VERDICTS["one scan"] | {"markers": []}
     assert sentence_of(told).endswith(

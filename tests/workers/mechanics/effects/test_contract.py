@@ -181,13 +181,6 @@ def test_effects_are_proportional_unless_local_or_one_sided():
     assert not proportional & {"plate_friction", "inclusion", "local_attachment", "plate_edge"}
 
 
-@on_image
-def test_only_effects_about_the_centre_depend_on_it(e):
-    elsewhere = replace(FRAME, centre_mm=(20.0, -10.0, 5.0))
-    here, there = (e.observation(*interface(), frame) for frame in (FRAME, elsewhere))
-    assert e.about_centre == (not np.array_equal(here, there))
-
-
 @pytest.mark.parametrize("e", [e for e in ON_IMAGE if e.moves_scan], ids=lambda e: e.name)
 def test_scan_motion_has_three_shifts_and_three_rotations(e):
     points, normals, tissues = interface()

@@ -224,11 +224,10 @@ def _worst_place(summary: Summary) -> str:
     states = summary.markers or ()
     if len(states) > 1:
         return f", most in the state {max(states, key=_misfit_mm).state}"
-    significant = [part for part in summary.where if part.significant]
-    parts = [part for part in significant if part.region != WHOLE] or significant
-    if not parts:
+    regions = [part for part in summary.where if part.region != WHOLE] or summary.where
+    most = max(regions, key=lambda part: part.gap_mm, default=None)
+    if most is None or not most.significant:
         return ""
-    most = max(parts, key=lambda part: part.gap_mm)
     region = "" if most.region == WHOLE else f"{most.region} of the "
     side = "outside" if most.signed_mean_mm > 0 else "inside"
     is_one_sided = abs(most.signed_mean_mm) > ONE_SIDED * most.gap_mm

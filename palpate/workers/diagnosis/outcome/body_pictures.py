@@ -306,7 +306,7 @@ def overlap_rows(
     residuals : mapping of str to ndarray, shape (scans, k)
         Signed distances in mm, with the keys of `predicted`.
     noise : ndarray, shape (scans, k)
-        Standard deviations of the nominal residuals.
+        Standard deviations of the segmentation.
     interface : ndarray of int, shape (k,)
         The interface of each point.
     each : callable
@@ -489,6 +489,9 @@ def pictures_of_scans(
     points = analysis.inverse.points
     shape = (len(observed), len(points))
     noise = np.sqrt((analysis.linear.covariance_factor**2).sum(axis=1)).reshape(shape)
+    if analysis.inverse.learnt is not None:
+        # What the model misses can make the learnt noise too large, never the stated one.
+        noise = noise / np.maximum(1.0, analysis.inverse.learnt.scales[points.interface])
     residuals = {when: fit.residual.reshape(shape) for when, fit in fits.items()}
     names = [scan.name for scan in analysis.inverse.scans]
     areas_mm2 = [scan.interface_mm2 for scan in analysis.inverse.scans]

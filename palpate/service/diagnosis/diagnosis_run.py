@@ -365,7 +365,7 @@ def run_plan(request: PlanRequest, dispatcher: Dispatcher, observe: Observer) ->
         record = value_of(ending, f"load {ending.key}")
         observe(Step("loads", done, len(loads), ending.key, record))
     observe(Step("weighing", 0, 1))
-    return dispatcher.call(weigh_plan, request)
+    return dispatcher.call(weigh_plan, request, dispatcher.threads)
 
 
 class DiagnosisRecords:

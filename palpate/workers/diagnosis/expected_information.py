@@ -241,12 +241,12 @@ class Detectability:
 
 
 def detectability(
-    problem: Linearised, sensitivities: Sequence[EffectSensitivity]
+    problem: Linearised, sensitivities: Sequence[EffectSensitivity], cosines: FloatArray
 ) -> tuple[Detectability, ...]:
-    """Return a row for each effect, in the order given."""
-    cosines = confusion(problem, sensitivities) - np.eye(len(sensitivities))
+    """Return a row for each effect, in the order given, from their `confusion`."""
     rows = []
-    for sensitivity, cosine in zip(sensitivities, cosines, strict=True):
+    others = cosines - np.eye(len(sensitivities))
+    for sensitivity, cosine in zip(sensitivities, others, strict=True):
         shares = [absorbed_share(problem, B) for B in sensitivity.whitened(problem)]
         near = int(cosine.argmax())
         rows.append(
@@ -270,30 +270,37 @@ def separation(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) 
         Entry ``[k, j]`` is for k acting, in nats; median over the places of k, against the best
         place of j.
     """
-    columns = [sensitivity.whitened(problem) for sensitivity in sensitivities]
-    projected = [np.array([problem.project(B) for B in places]) for places in columns]
+    columns = [np.stack([*one.whitened(problem)]) for one in sensitivities]
+    projected = [np.stack([problem.project(B) for B in places]) for places in columns]
     log_factors = np.zeros((len(columns), len(columns)))
-    for k, acting in enumerate(columns):
-        for j, other in enumerate(columns):
+    for j, other in enumerate(projected):
+        for k, acting in enumerate(columns):
             if k != j:
-                table = [
-                    [
-                        _divergence(b.T @ Pb, b.T @ Pc, c.T @ Pc)
-                        for c, Pc in zip(other, projected[j], strict=True)
-                    ]
-                    for b, Pb in zip(acting, projected[k], strict=True)
-                ]
-                log_factors[k, j] = np.median(np.min(table, axis=1))
+                table = _divergences(acting, projected[k], columns[j], other)
+                log_factors[k, j] = np.median(table.min(axis=1))
     return log_factors
 
 
-def _divergence(kk: FloatArray, kj: FloatArray, jj: FloatArray) -> float:
-    """Return the divergence, from inner products of effect k and its rival j in the metric P."""
-    own, rival = np.eye(len(kk)) + kk, np.eye(len(jj)) + jj
-    trace = np.trace(kk) - np.trace(kj @ np.linalg.solve(rival, kj.T))
-    trace -= np.trace(np.linalg.solve(rival, jj))
-    logs = np.linalg.slogdet(rival)[1] - np.linalg.slogdet(own)[1]
-    return float(0.5 * (trace + logs))
+def _divergences(
+    acting: FloatArray, projected: FloatArray, other: FloatArray, rival: FloatArray
+) -> FloatArray:
+    """Return the divergences of an effect at g places from a rival at h places, shape (g, h).
+
+    Parameters
+    ----------
+    acting, projected : ndarray, shape (g, m, q)
+        Columns of the effect, and their projection.
+    other, rival : ndarray, shape (h, m, r)
+        The same of the rival.
+    """
+    kk, jj = acting.transpose(0, 2, 1) @ projected, other.transpose(0, 2, 1) @ rival
+    kj = np.tensordot(acting, rival, axes=(1, 1)).transpose(0, 2, 1, 3)
+    own, theirs = np.eye(kk.shape[1]) + kk, np.eye(jj.shape[1]) + jj
+    inverse = np.linalg.inv(theirs)
+    trace = np.trace(kk, axis1=1, axis2=2)[:, None] - np.trace(inverse @ jj, axis1=1, axis2=2)
+    trace = trace - ((kj @ inverse) * kj).sum(axis=(2, 3))
+    logs = np.linalg.slogdet(theirs)[1] - np.linalg.slogdet(own)[1][:, None]
+    return np.asarray(0.5 * (trace + logs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -408,12 +415,9 @@ def evaluate_design(
         "nothing", "", np.zeros((problem.size, 1)), np.ones(1), np.zeros(1, np.bool_)
     )
     table = separation(problem, [*sensitivities, nothing])
-    return DesignEvaluation(
-        detectability(problem, sensitivities),
-        table[:-1, -1],
-        confusion(problem, sensitivities),
-        table[:-1, :-1],
-    )
+    cosines = confusion(problem, sensitivities)
+    rows = detectability(problem, sensitivities, cosines)
+    return DesignEvaluation(rows, table[:-1, -1], cosines, table[:-1, :-1])
 
 
 def assembled(

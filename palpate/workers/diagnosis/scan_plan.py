@@ -33,6 +33,7 @@ from palpate.workers.diagnosis.plan_summary import (
 )
 from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem, Values
 from palpate.workers.diagnosis.problem.planned_acquisition import Acquisition, ProblemBuilder
+from palpate.workers.kernels_and_threads import Each
 from palpate.workers.mechanics.effects.effect import Effect
 from palpate.workers.mechanics.fem.boundary_value_problem import Frame, Problem
 from palpate.workers.mechanics.fem.loads_and_regions import (
@@ -220,6 +221,7 @@ def make_plan(
     loads: Sequence[CandidateLoad],
     sensitivities: Mapping[int, LoadSensitivity],
     effects: Sequence[Effect],
+    each: Each = map,
 ) -> PlanSummary:
     """Evaluate the planned loads, and rank further measurements by benefit.
 
@@ -235,6 +237,8 @@ def make_plan(
         Sensitivities by index of the load; loads that cannot be simulated are missing.
     effects : sequence of Effect
         The catalogue.
+    each : callable
+        Applies a function to every item; see `workers.kernels_and_threads`.
     """
     present = _planned(loads, sensitivities)
     acting = simulated([sensitivities[n] for n in present], effects)
@@ -242,11 +246,13 @@ def make_plan(
     shown = frozenset(
         row.name for row in now.rows if row.absorbed <= SETTINGS.detectability.sunk_share
     )
-    further = []
-    for option, design in designs(unloaded, loads, sensitivities).items():
-        known = simulated([sensitivities[n] for n in design.states], acting)
-        then = evaluate_design(unloaded, design, sensitivities, known)
-        further.append(_further(option, now, replace(then, shown=shown)))
+
+    def weighed(option: tuple[str, Design]) -> FurtherMeasurement:
+        known = simulated([sensitivities[n] for n in option[1].states], acting)
+        then = evaluate_design(unloaded, option[1], sensitivities, known)
+        return _further(option[0], now, replace(then, shown=shown))
+
+    further = each(weighed, designs(unloaded, loads, sensitivities).items())
     return PlanSummary(
         case=name,
         scans=tuple(loads[n].name for n in present),

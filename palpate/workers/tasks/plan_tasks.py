@@ -20,6 +20,7 @@ from palpate.workers.diagnosis.plan_summary import PlanSummary
 from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
 from palpate.workers.diagnosis.problem.planned_acquisition import Acquisition, inverse_problem_of
 from palpate.workers.diagnosis.scan_plan import CandidateLoad, candidate_loads, make_plan
+from palpate.workers.kernels_and_threads import scan_threads
 from palpate.workers.organs.source_registry import source_module
 from palpate.workers.tasks.code_version import code_version
 from palpate.workers.tasks.diagnosis_sources import SourceName, stored_planned
@@ -107,8 +108,14 @@ def analyse_load(request: PlanRequest, number: int) -> LoadRecord:
     return part.record(LoadRecord)
 
 
-def weigh_plan(request: PlanRequest) -> PlanSummary:
+def weigh_plan(request: PlanRequest, threads: int = 1) -> PlanSummary:
     """Determine which effects the acquisition can detect, and which loads would add more.
+
+    Parameters
+    ----------
+    request : PlanRequest
+    threads : int
+        Number of threads that would otherwise be idle.
 
     Raises
     ------
@@ -132,7 +139,8 @@ def weigh_plan(request: PlanRequest) -> PlanSummary:
                 "plausible intervals. Check the loads, units and constants."
             )
         acquisition = _acquisition(request)
-        plan = make_plan(acquisition.name, unloaded, loads, known, acquisition.effects)
+        with scan_threads(threads) as each:
+            plan = make_plan(acquisition.name, unloaded, loads, known, acquisition.effects, each)
         part.save(plan, {})
     return part.record(PlanSummary)
 

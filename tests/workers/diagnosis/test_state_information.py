@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from palpate.workers.diagnosis.expected_information import detectability, separation
-from palpate.workers.diagnosis.fits.effect_screening import minimum_detectable
+from palpate.workers.diagnosis.fits.effect_screening import confusion, minimum_detectable
 from palpate.workers.diagnosis.linearisation import Linearised, factored
 from tests.workers.diagnosis.linear_world import (
     catalogue,
@@ -32,6 +32,11 @@ def of_states(problem, sensitivities, rows):
     return smaller, [replace(f, columns=f.columns[..., rows, :]) for f in sensitivities]
 
 
+def rows_of(problem, sensitivities):
+    """Return the detectability of each effect."""
+    return detectability(problem, sensitivities, confusion(problem, sensitivities))
+
+
 def test_another_state_never_lowers_the_information():
     """Minimum magnitudes never rise."""
     whole = nominal_problem()
@@ -39,7 +44,7 @@ def test_another_state_never_lowers_the_information():
     for before, after in zip(fewer, catalogue(), strict=True):
         one = minimum_detectable(smaller, before)
         assert (minimum_detectable(whole, after) <= one * (1 + 1e-9)).all()
-    rows = detectability(whole, catalogue())
+    rows = rows_of(whole, catalogue())
     assert [row.name for row in rows] == [f.name for f in catalogue()]
     assert rows[1].minimum == pytest.approx(minimum_detectable(whole, catalogue()[1]))
 
@@ -47,10 +52,10 @@ def test_another_state_never_lowers_the_information():
 def test_the_most_similar_effect_is_named():
     tilt = catalogue()[1]
     twin = effect("twin", 2.0 * tilt.columns)
-    row = detectability(nominal_problem(), (*catalogue(), twin))[1]
+    row = rows_of(nominal_problem(), (*catalogue(), twin))[1]
     assert row.nearest == "twin"
     assert row.cosine == pytest.approx(1.0)
-    alone = detectability(nominal_problem(), [tilt])[0]
+    alone = rows_of(nominal_problem(), [tilt])[0]
     assert alone.nearest is None
 
 

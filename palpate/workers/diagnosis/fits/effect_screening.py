@@ -26,7 +26,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import svd, svdvals
 from scipy.special import logsumexp, ndtri
 
 from palpate.storage.values import FloatArray
@@ -118,26 +117,25 @@ def confusion(problem: Linearised, sensitivities: Sequence[EffectSensitivity]) -
     ndarray, shape (effects, effects)
         Similarities from 0 to 1, symmetric, with ones on the diagonal.
     """
-    bases = [
-        [_basis(problem, B) for B in sensitivity.whitened(problem)] for sensitivity in sensitivities
-    ]
+    bases = [_bases(problem, sensitivity.whitened(problem)) for sensitivity in sensitivities]
     cosines = np.eye(len(bases))
     for i, first in enumerate(bases):
         for j, second in enumerate(bases[:i]):
-            cosines[i, j] = cosines[j, i] = max(_cosine(p, q) for p in first for q in second)
+            products = np.tensordot(first, second, axes=(1, 1)).transpose(0, 2, 1, 3)
+            largest = float(np.linalg.svd(products, compute_uv=False).max())
+            cosines[i, j] = cosines[j, i] = min(1.0, largest)
     return cosines
 
 
-def _basis(problem: Linearised, whitened: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of the visible part of an effect, shape (m, rank)."""
-    u, s, _ = svd(problem.project(whitened), full_matrices=False)
-    return np.asarray(u[:, s > INVISIBLE * np.linalg.norm(whitened)])
+def _bases(problem: Linearised, whitened: FloatArray) -> FloatArray:
+    """Return orthonormal bases of the visible part of an effect at g places, shape (g, m, q).
 
-
-def _cosine(p: FloatArray, q: FloatArray) -> float:
-    if p.shape[1] == 0 or q.shape[1] == 0:
-        return 0.0
-    return min(1.0, float(svdvals(p.T @ q)[0]))
+    Columns beyond the rank are zero.
+    """
+    visible = np.stack([problem.project(B) for B in whitened])
+    u, s, _ = np.linalg.svd(visible, full_matrices=False)
+    least = INVISIBLE * np.linalg.norm(whitened, axis=(1, 2))[:, None]
+    return np.asarray(u * (s > least)[:, None, :])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

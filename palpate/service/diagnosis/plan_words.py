@@ -152,26 +152,16 @@ def next_acquisitions(summary: Summary, plan: PlanSummary) -> tuple[NextAcquisit
     return tuple(ranked[:SHOWN_ACQUISITIONS])
 
 
-def acquisition_worth(option: NextAcquisition, rivals: Sequence[str] = ()) -> str:
+def acquisition_worth(option: NextAcquisition) -> str:
     """Return a phrase on what a measurement would decide.
-
-    Parameters
-    ----------
-    option : NextAcquisition
-    rivals : sequence of str, optional
-        Effects that cannot be told apart.
 
     Examples
     --------
     >>> acquisition_worth(NextAcquisition("a view", (("gravity_change", "fibre_fan"),), (), 0.62))
     'distinguishes gravity change from fibre fan; detection limits become 0.62 times as large'
-    >>> acquisition_worth(NextAcquisition("a scan", (), (), 0.8), ("fibre_fan", "skin"))
-    'does not distinguish fibre fan and skin; detection limits become 0.80 times as large'
     """
     pairs = [f"{spoken(a)} from {spoken(b)}" for a, b in option.separates]
     words = [f"distinguishes {listed(pairs)}"] if pairs else []
-    if rivals and not pairs:
-        words.append(f"does not distinguish {together(rivals)}")
     if option.reveals:
         words.append(f"reveals {together(option.reveals)}")
     words.append(f"detection limits become {option.minimum_ratio:.2f} times as large")

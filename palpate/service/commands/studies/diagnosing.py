@@ -258,7 +258,6 @@ def print_verdict(summary: Summary, console: Console) -> None:
             f"Absorbed by the constants, neither confirmed nor ruled out: {names}.", soft_wrap=True
         )
     for option in summary.next_acquisitions or ():
-        worth = acquisition_worth(option, summary.rivals)
-        console.print(f"Next, {option.name}: {worth}.", soft_wrap=True)
+        console.print(f"Next, {option.name}: {acquisition_worth(option)}.", soft_wrap=True)
     for line in (*constant_lines(summary), *experiment_lines(summary)):
         console.print(line, soft_wrap=True)

@@ -103,9 +103,7 @@ def diagnosis_context(diagnosis: FinishedDiagnosis, origin: Origin) -> dict[str,
         "effects": tables.effect_table(summary),
         "power": power(summary) if summary.verdict == "no-gap" else "",
         "advice": _advice(summary),
-        "further": [
-            (o.name, acquisition_worth(o, summary.rivals)) for o in summary.next_acquisitions or ()
-        ],
+        "further": [(o.name, acquisition_worth(o)) for o in summary.next_acquisitions or ()],
         "markers": experiment.marker_table(summary),
         "arrows": list(arrow_pictures(maps, scans, named, summary.gap_mm.noise_floor))
         if summary.markers is not None

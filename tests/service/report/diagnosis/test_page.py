@@ -179,19 +179,19 @@ def test_something_else_acts_beside_the_named_effects() -> None:
 def test_a_second_segmentation_is_drawn_not_measured() -> None:
     option = {"name": REDRAWN, "separates": [], "reveals": [], "minimum_ratio": 0.8}
     text = Page(render_diagnosis(found(summary(next_acquisitions=[option])))).text
-    assert "Draw a second segmentation of every scan." in text
+    assert (
+        "Draw a second segmentation of every scan: 0.80 times as large effects would show." in text
+    )
 
 
 @pytest.mark.parametrize(
     ("separates", "words"),
     [
         ([["plate_tilt", "fibre_fan"]], "Measure 9 N, to distinguish plate tilt from fibre fan."),
-        ([], "Measure 9 N; it is the best of those considered, but none separates the causes."),
+        ([], "Measure 9 N: 0.80 times as large effects would show."),
     ],
 )
-def test_next_measurement_says_whether_it_separates_the_causes(
-    separates: list[list[str]], words: str
-) -> None:
+def test_next_measurement_says_what_it_decides(separates: list[list[str]], words: str) -> None:
     option = {"name": "9 N", "separates": separates, "reveals": [], "minimum_ratio": 0.8}
     told = summary(
         verdict="cannot-be-told-apart",

@@ -17,10 +17,18 @@ def public_names() -> Iterator[str]:
         yield _block(name, value)
         if inspect.isclass(value) and value.__module__.startswith("palpate"):
             for member, function in inspect.getmembers(value, _is_public):
-                if member.startswith("_") or member not in vars(value):
+                if member.startswith("_") or member not in _own(value):
                     continue
                 yield f"#### {name}.{member}\n"
                 yield _block(member, function)
+
+
+def _own(value: type) -> set[str]:
+    """Return the members of a class, with those of the record of any simulation."""
+    from palpate.service.simulation.simulation_record import SimulationRecord
+
+    base = vars(SimulationRecord) if issubclass(value, SimulationRecord) else {}
+    return {*vars(value), *base}
 
 
 def _block(name: str, value: Any) -> str:

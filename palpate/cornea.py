@@ -2,15 +2,28 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from palpate.service.simulation.organ_simulation import OrganModel, case_from_keys, stated_constants
-from palpate.storage.read_only import ReadOnly, read_only
+from palpate.service.simulation.organ_simulation import OrganModel, case_from_keys
+from palpate.service.simulation.simulation_record import SimulationRecord, Values
+from palpate.storage.errors import InputError
+from palpate.storage.read_only import read_only
 from palpate.storage.values import FloatArray, IntArray
-from palpate.workers.organs.cornea.cornea_forward import LoadedCornea
-from palpate.workers.organs.cornea.prestressed_equilibrium import CorneaOutcome
+from palpate.workers.mechanics.fem.boundary_value_problem import Change
+from palpate.workers.mechanics.model_parameters import Parameter
+from palpate.workers.organs.cornea.cornea_forward import deformation_and_stress
+from palpate.workers.organs.cornea.cornea_problem import Candidate, MeshForModels
+from palpate.workers.organs.cornea.prestressed_equilibrium import (
+    CandidateChange,
+    CorneaOutcome,
+    CorneaSolution,
+    Equilibrium,
+    equilibrium,
+    sensitivity,
+)
 from palpate.workers.organs.cornea.section_outline import Section
 
 if TYPE_CHECKING:
@@ -18,9 +31,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Cornea", "CorneaSimulation"]
 
+# Difference step of a constant: relative to its value, or to its interval if it can be zero.
+CONSTANT_STEP = 1e-5
 
-@dataclass(frozen=True, eq=False)
-class CorneaSimulation(ReadOnly):
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CorneaSimulation(SimulationRecord):
     """One simulation of a section with n nodes and m six-node triangles of q points each.
 
     A simulation that does not converge is an ordinary result: `converged` is False, `reason`
@@ -40,30 +56,21 @@ class CorneaSimulation(ReadOnly):
     displacement_mm : ndarray, shape (n, 2)
     outcome : mapping of str to object
         Iterations, apex displacement and other figures reported by the solver.
-    deformed : Section
-        Both surfaces after deformation, ``anterior_mm`` and ``posterior_mm``.
     """
 
-    constants: Mapping[str, float]
-    converged: bool
-    reason: str
-    nodes_mm: FloatArray
     triangles: IntArray
-    displacement_mm: FloatArray
-    outcome: Mapping[str, Any]
-    deformed: Section
-    _model: OrganModel = field(repr=False)
-    _loaded: LoadedCornea = field(repr=False)
-
-    def __repr__(self) -> str:
-        size = f"{len(self.nodes_mm)} nodes, {len(self.triangles)} triangles"
-        apex = f"apex {self.apex_displacement_um:.4g} um"
-        return f"<CorneaSimulation of {size}: {apex if self.converged else self.reason}>"
 
     @property
     def apex_displacement_um(self) -> float:
         """Displacement of the apex into the eye, in um."""
         return float(self.outcome["apex_displacement_um"])
+
+    @cached_property
+    def deformed(self) -> Section:
+        """Both surfaces after deformation, ``anterior_mm`` and ``posterior_mm``."""
+        deform: Any = self._loaded.deform
+        section: Section = deform(self.displacement_mm)
+        return Section(read_only(section.anterior_mm), read_only(section.posterior_mm))
 
     @property
     def deformation_gradient(self) -> FloatArray:
@@ -72,32 +79,60 @@ class CorneaSimulation(ReadOnly):
         Shape (m, q, 3, 3); the third axis is normal to the section. With the additive prestress,
         F is measured from the image.
         """
-        return read_only(self._loaded.fields[0])
+        return self._fields[0]
 
     @property
     def cauchy_stress_mpa(self) -> FloatArray:
         """Cauchy stress at each point in MPa, shape (m, q, 3, 3), tension positive."""
-        return read_only(self._loaded.fields[1])
+        return self._fields[1]
 
-    def gradient(self, name: str) -> FloatArray:
-        """Differentiate the displacement with respect to a constant.
+    @staticmethod
+    def _solve(model: MeshForModels, problem: Candidate) -> Equilibrium:
+        return equilibrium(problem.prepared, problem.constants, problem.load)
 
-        Parameters
-        ----------
-        name : str
-            Name in a study file, such as ``"mu1_pa"``.
+    @staticmethod
+    def _solution(solved: Equilibrium) -> CorneaOutcome:
+        return CorneaOutcome(solved.solution)
 
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            Derivative in mm per unit of the constant, such as mm per Pa.
+    @staticmethod
+    def _mesh(model: MeshForModels) -> dict[str, Any]:
+        return {"nodes_mm": model.mesh.nodes_mm, "triangles": model.mesh.triangles}
 
-        Raises
-        ------
-        InputError
-            If the constant is unknown, or the simulation did not converge.
-        """
-        return self._loaded.gradient(self._model.case.vocabulary.at_door(name))
+    def _problem_with(self, others: Mapping[str, float]) -> Any:
+        # The values are not completed again, which could exchange terms of the law.
+        return self._loaded.problem({**self._values, **others})
+
+    def _step(self, parameter: Parameter, value: float) -> float:
+        return CONSTANT_STEP * (value or parameter.upper - parameter.lower)
+
+    def _slope(self, parameter: Parameter, change: Change) -> FloatArray:
+        solution = self._equilibrium.solution
+        if not solution.converged:
+            raise InputError(
+                "Only an equilibrium has derivatives; this simulation did not converge: "
+                f"{solution.reason}."
+            )
+        plus: Any = change.plus
+        minus: Any = change.minus
+        if minus is self._problem:  # at a bound, beyond which the model has other unknowns
+            ahead: CorneaSolution = self._solve(self._loaded.model, plus).solution
+            return (ahead.displacement_mm - solution.displacement_mm) / change.step
+        step = self._step(parameter, self._values[parameter.name])
+        pair = CandidateChange(plus, minus, step)
+        return sensitivity(self._problem, [pair], self._equilibrium).derivatives[0]
+
+    @property
+    def _exported(self) -> tuple[Values, Values]:
+        stress = {"cauchy_mpa": self.cauchy_stress_mpa.mean(axis=1)}
+        return {"displacement_mm": self.displacement_mm}, stress
+
+    @property
+    def _motion(self) -> str:
+        return f"apex {self.apex_displacement_um:.4g} um"
+
+    @cached_property
+    def _fields(self) -> tuple[FloatArray, FloatArray]:
+        return read_only(deformation_and_stress(self._equilibrium))
 
 
 class Cornea:
@@ -127,7 +162,7 @@ class Cornea:
     """
 
     def __init__(self, *, anyway: bool = False, **keys: Any) -> None:
-        self._model = OrganModel(case_from_keys("cornea", keys))
+        self._model = OrganModel(case_from_keys("cornea", keys), CorneaSimulation)
         for finding in self._model.check(anyway=anyway):
             warnings.warn(finding.text, stacklevel=2)
 
@@ -163,27 +198,5 @@ class Cornea:
         InputError
             If a constant is unknown or its value is not admissible.
         """
-        model = self._model
-        values = model.case.complete(stated_constants(model.case, constants))
-        outcome: Mapping[str, Any]
-        if client is not None:
-            displacement_mm, result = model.solve_on(client, constants, store)
-            outcome, reason = result["outcome"], result["reason"]
-        loaded: Any = LoadedCornea(model.model, model.case, values, model.landmarks)
-        if client is None:
-            solution = loaded.equilibrium.solution
-            displacement_mm, reason = solution.displacement_mm, solution.reason
-            outcome = CorneaOutcome(solution).as_dict()
-        deformed = model.organ.deform(model.body, model.mesh, displacement_mm)
-        return CorneaSimulation(
-            constants=model.case.vocabulary.to_door(values),
-            converged=bool(outcome["converged"]),
-            reason=reason,
-            nodes_mm=model.mesh.nodes_mm,
-            triangles=model.mesh.triangles,
-            displacement_mm=displacement_mm,
-            outcome=outcome,
-            deformed=Section(read_only(deformed.anterior_mm), read_only(deformed.posterior_mm)),
-            _model=model,
-            _loaded=loaded,
-        )
+        result: CorneaSimulation = self._model.simulate(constants, client, store)
+        return result

@@ -70,7 +70,7 @@ class Breast:
         else:
             reference["volume"] = str(body)
         case = case_from_keys("breast", {"reference": reference} | keys)
-        self._model = OrganModel(case, given, shown=Volume.of)
+        self._model = OrganModel(case, Simulation, given, shown=Volume.of)
         for finding in self._model.check(anyway=anyway):
             warnings.warn(finding.text, stacklevel=2)
 
@@ -111,6 +111,5 @@ class Breast:
         InputError
             If a constant is unknown or its value is not admissible.
         """
-        if client is None:
-            return self._model.simulate(constants)
-        return self._model.simulate_on(client, constants, store)
+        result: Simulation = self._model.simulate(constants, client, store)
+        return result

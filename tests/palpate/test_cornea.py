@@ -36,6 +36,10 @@ def test_arrays_have_the_documented_shapes(result: palpate.CorneaSimulation) -> 
     highest = anterior[:, 1].max()
     assert highest < result.nodes_mm[:, 1].max()
     assert len(repr(result)) < 200
+    mesh = result.to_meshio()
+    np.testing.assert_array_equal(mesh.points, result.deformed_nodes_mm)
+    assert mesh.cells_dict["triangle6"].shape == (m, 6)
+    np.testing.assert_array_equal(mesh.cell_data["cauchy_mpa"][0], stress.mean(axis=1))
 
 
 def test_wall_force_balances_pressure() -> None:

@@ -21,7 +21,7 @@ from palpate.service.results.posterior_samples import Samples
 from palpate.storage.read_only import FrozenDict, read_only
 from palpate.testing.plugin_claims import small_breast
 from palpate.workers.input_files import dump_yaml
-from tests.palpate.test_specimen import BAR
+from tests.palpate.test_specimen import BAR, SHEET
 from tests.recovery.stand_ins import Inline, run
 from tests.recovery.test_strategies import spec_of
 from tests.service.report.diagnosis_at_hand import VERDICTS, found
@@ -32,21 +32,6 @@ KEYS: dict[str, Any] = {
     "case": {"reference": {"phantom": {"spacing_mm": 2}}, "constants": {"nu": 0.48}},
     "target": {"constants": {"E_fat_kpa": 12}},
     "search": {"parameters": {"E_fat_kpa": [5, 20]}, "start": [{"E_fat_kpa": 8}]},
-}
-SHEET = BAR | {
-    "body": {"sheet": {"size_mm": [40, 20], "thickness_mm": 0.5}},
-    "regions": {
-        "base": {"plane": {"axis": "x", "at_mm": 0}},
-        "top": {"plane": {"axis": "x", "at_mm": 40}},
-    },
-    "predict": [{"name": "drawn", "moves": [{"region": "top", "displacement_mm": [2, 0, 0]}]}],
-    "states": [
-        {
-            "name": "pulled",
-            "files": ["never-read.csv"],
-            "forces": [{"region": "top", "force_n": [0.2, 0, 0]}],
-        }
-    ],
 }
 VIEW = {
     "id": "small", "kind": "study", "name": "small", "owner": "me", "priority": 0,
@@ -222,8 +207,8 @@ def test_the_next_simulation_is_the_same_bit_for_bit(objects: dict[str, Any]) ->
         for _, part in list(parts(name, value)):
             spoil(part)
     result = objects["Simulation"]
-    for export in (result, objects["SheetSimulation"]):  # files may be edited
-        mesh = export.to_meshio()
+    for name in ("Simulation", "SheetSimulation", "CorneaSimulation"):  # files may be edited
+        mesh = objects[name].to_meshio()
         for array in (mesh.points, mesh.cells[0].data, *mesh.point_data.values()):
             array[...] = 0
         for arrays in mesh.cell_data.values():

@@ -37,6 +37,22 @@ BAR: dict[str, Any] = {
     ],
 }
 
+SHEET = BAR | {
+    "body": {"sheet": {"size_mm": [40, 20], "thickness_mm": 0.5}},
+    "regions": {
+        "base": {"plane": {"axis": "x", "at_mm": 0}},
+        "top": {"plane": {"axis": "x", "at_mm": 40}},
+    },
+    "predict": [{"name": "drawn", "moves": [{"region": "top", "displacement_mm": [2, 0, 0]}]}],
+    "states": [
+        {
+            "name": "pulled",
+            "files": ["never-read.csv"],
+            "forces": [{"region": "top", "force_n": [0.2, 0, 0]}],
+        }
+    ],
+}
+
 
 @pytest.fixture(scope="module")
 def bar() -> palpate.Specimen:
@@ -71,9 +87,9 @@ def test_hold_reaction_balances_stretching_force(bar: palpate.Specimen) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::UserWarning")
-@pytest.mark.parametrize("form", ["block", "mesh file"])
+@pytest.mark.parametrize("form", ["block", "mesh file", "sheet"])
 def test_client_workers_give_equal_results(form: str, tmp_path: Path) -> None:
-    keys = BAR
+    keys = SHEET if form == "sheet" else BAR
     if form == "mesh file":
         mesh = lattice((WIDTH, WIDTH, LENGTH), (3, 3, 5))
         faces = [("triangle", boundary_triangles(mesh.tets))]

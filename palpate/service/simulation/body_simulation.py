@@ -1,21 +1,16 @@
-"""One simulation of a body of tetrahedra as arrays, with derivatives by the constants.
+"""The result of one simulation of a body of tetrahedra, as arrays."""
 
-The derivative of a displacement with respect to a constant is shared with the simulation of a
-sheet (`service.simulation.sheet_simulation`).
-"""
-
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
-import meshio
 import numpy as np
 
 from palpate.service.export.solved_mesh_files import MeshData, mesh_data
+from palpate.service.simulation.simulation_record import SimulationRecord, Values
 from palpate.storage.errors import InputError
-from palpate.storage.read_only import ReadOnly, hold_read_only
+from palpate.storage.read_only import hold_read_only
 from palpate.storage.stored_arrays import export_mesh
 from palpate.storage.values import FloatArray, IntArray, TetMesh, Volume
 from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium, equilibrium, stress_free
@@ -25,155 +20,11 @@ from palpate.workers.mechanics.fem.element_energy import deformation_gradients
 from palpate.workers.mechanics.fem.equilibrium_sensitivity import reactions, tangents
 from palpate.workers.mechanics.fem.mesh_level import Level
 from palpate.workers.mechanics.fem.stress_fields import ElementFields, element_fields
-from palpate.workers.mechanics.model_parameters import Parameter, Vocabulary
-
-# Relative step of a constant: of its value, or of its interval if it can be zero.
-GRADIENT_STEP = 1e-4
-# The same for a constant with path-dependent solutions: friction saturates quickly.
-PATH_GRADIENT_STEP = 0.02
+from palpate.workers.mechanics.model_parameters import Parameter
 
 
-def displacement_gradient(
-    at: Equilibrium,
-    problem_at: Callable[[float], Problem],
-    parameter: Parameter,
-    value: float,
-    *,
-    follows_path: bool = False,
-) -> FloatArray:
-    """Differentiate the displacement of an equilibrium with respect to one constant.
-
-    Parameters
-    ----------
-    at : Equilibrium
-    problem_at : callable
-        Maps a value of the constant, in internal units, to the problem.
-    parameter : Parameter
-    value : float
-        The constant at the equilibrium, in internal units.
-    follows_path : bool
-        Whether this constant, like friction, makes the solution depend on the load path. If so, the
-        problem is solved again on both sides; otherwise a linear solve is enough.
-
-    Returns
-    -------
-    ndarray, shape (n, 3)
-        Derivative in mm per unit of the constant in study files, such as mm per kPa.
-
-    Raises
-    ------
-    InputError
-        If the simulation, or a nearby one, did not converge.
-    """
-    ahead, behind = either_side(
-        parameter, value, PATH_GRADIENT_STEP if follows_path else GRADIENT_STEP
-    )
-    per_unit = parameter.unit.to_inside(1.0)
-    if not follows_path:
-        change = Change(problem_at(ahead), problem_at(behind), ahead - behind)
-        moved: FloatArray = tangents(at, [change])[0]
-        return moved * per_unit
-    ends = [_displacement_nearby(at, problem_at(side), parameter) for side in (ahead, behind)]
-    return (ends[0] - ends[1]) * (per_unit / (ahead - behind))
-
-
-def either_side(parameter: Parameter, value: float, step: float) -> tuple[float, float]:
-    """Return admissible values above and below a value, or the value itself at a bound.
-
-    Examples
-    --------
-    >>> from palpate.workers.mechanics.model_parameters import BREAST
-    >>> either_side(BREAST["E_fat"], 0.01, 0.5)
-    (0.015, 0.005)
-    """
-    h = step * (value if parameter.lower > 0 else parameter.upper - parameter.lower)
-    return _admissible(parameter, value + h, value), _admissible(parameter, value - h, value)
-
-
-def _admissible(parameter: Parameter, wanted: float, otherwise: float) -> float:
-    try:
-        return parameter.check(wanted)
-    except InputError:
-        return otherwise
-
-
-def _displacement_nearby(at: Equilibrium, problem: Problem, parameter: Parameter) -> FloatArray:
-    solution = equilibrium(at.imaged, problem, at).solution
-    if not solution.outcome.converged:
-        raise InputError(
-            f"The derivative with respect to {parameter.door_name} cannot be computed: a nearby "
-            f"simulation diverged ({solution.outcome.reason})."
-        )
-    return solution.displacement_mm
-
-
-@dataclass(frozen=True, eq=False)
-class MeshedBody:
-    """A body of tetrahedra and its model, ready for any constants.
-
-    Parameters
-    ----------
-    model : Model
-        The prepared mesh as imaged.
-    vocabulary : Vocabulary
-        The constants of the model.
-    complete : callable
-        Maps the given constants to all of them, in internal names and units.
-    problem : callable
-        Maps all constants to the problem.
-    path_dependent : frozenset of str
-        Constants that make the solution depend on the load path.
-    deform : callable or None
-        Maps a displacement, shape (n, 3), to the deformed body in voxels; None if the body has
-        no voxels.
-    """
-
-    model: Model
-    vocabulary: Vocabulary
-    complete: Callable[[Mapping[str, float]], dict[str, float]]
-    problem: Callable[[Mapping[str, float]], Problem]
-    path_dependent: frozenset[str] = frozenset()
-    deform: Callable[[FloatArray], Volume] | None = None
-
-    def simulate(self, stated: Mapping[str, float]) -> "Simulation":
-        """Load the body; failure to converge is an ordinary outcome.
-
-        Parameters
-        ----------
-        stated : mapping of str to float
-            Constants with internal names and units; missing ones take the values of `complete`.
-        """
-        solved = equilibrium(self.model, self.problem(self.complete(stated)))
-        found = solved.solution
-        return self.result(stated, found.displacement_mm, found.outcome.as_dict(), solved)
-
-    def result(
-        self,
-        stated: Mapping[str, float],
-        displacement_mm: FloatArray,
-        outcome: Mapping[str, Any],
-        solved: Equilibrium | None = None,
-    ) -> "Simulation":
-        """Return the result of a simulation with a known displacement, shape (n, 3)."""
-        values = self.complete(stated)
-        finest = self.model.finest
-        return Simulation(
-            constants=self.vocabulary.to_door(values),
-            converged=bool(outcome["converged"]),
-            reason=str(outcome["reason"]),
-            nodes_mm=finest.nodes,
-            tetrahedra=finest.elements.tets,
-            tissue=finest.fractions.argmax(axis=1).astype(np.int32),
-            displacement_mm=displacement_mm,
-            outcome=outcome,
-            _body=self,
-            _stated=stated,
-            _solved=solved,
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Simulation(ReadOnly):
+@dataclass(frozen=True, eq=False, repr=False)
+class Simulation(SimulationRecord):
     """One simulation of a body of n nodes and m linear tetrahedra.
 
     A simulation that does not converge is an ordinary result: `converged` is False, `reason`
@@ -199,29 +50,11 @@ class Simulation(ReadOnly):
         Iterations, residual, contact area and other figures from the solver; names contain units.
     """
 
-    constants: Mapping[str, float]
-    converged: bool
-    reason: str
-    nodes_mm: FloatArray
     tetrahedra: IntArray
     tissue: IntArray
-    displacement_mm: FloatArray
-    outcome: Mapping[str, Any]
-    _body: MeshedBody = field(repr=False)
-    _stated: Mapping[str, float] = field(repr=False)
-    _solved: Equilibrium | None = field(repr=False, default=None)
 
-    def __repr__(self) -> str:
-        size = f"{len(self.nodes_mm)} nodes, {len(self.tetrahedra)} tetrahedra"
-        if not self.converged:
-            return f"<Simulation of {size}: diverged: {self.reason[:80]}>"
-        farthest_mm = np.linalg.norm(self.displacement_mm, axis=1).max()
-        return f"<Simulation of {size}: moved by up to {farthest_mm:.3g} mm>"
-
-    @property
-    def deformed_nodes_mm(self) -> FloatArray:
-        """Nodes after deformation, shape (n, 3)."""
-        return self.nodes_mm + self.displacement_mm
+    _elements: ClassVar[str] = "tetrahedra"
+    _meshio_name: ClassVar[str] = "tetra"
 
     @property
     def deformation_gradient(self) -> FloatArray:
@@ -274,65 +107,20 @@ class Simulation(ReadOnly):
         InputError
             If the body has no voxels, or the simulation did not converge.
         """
-        if self._body.deform is None:
+        if self._loaded.deform is None:
             raise InputError("This body is not made of voxels: use deformed_nodes_mm.")
         if not self.converged:
             raise InputError(
                 f"There is no deformed body because the simulation diverged: {self.reason}."
             )
         # Code would be compiled again for an array that is read-only.
-        return self._body.deform(self.displacement_mm.copy())
-
-    def gradient(self, name: str) -> FloatArray:
-        """Differentiate the displacement with respect to a constant.
-
-        A constant that follows this one unless it is set, as ``E_muscle_kpa`` follows
-        ``E_fat_kpa``, changes with it. With friction, the slip of earlier load steps is held.
-
-        Parameters
-        ----------
-        name : str
-            Name in a study file, such as ``"E_fat_kpa"``.
-
-        Returns
-        -------
-        ndarray, shape (n, 3)
-            Derivative in mm per unit of the constant, such as mm per kPa.
-
-        Raises
-        ------
-        InputError
-            If the constant is unknown, or the simulation did not converge.
-        """
-        parameter = self._body.vocabulary.at_door(name)
-
-        def problem_at(value: float) -> Problem:
-            stated = {**self._stated, parameter.name: value}
-            return self._body.problem(self._body.complete(stated))
-
-        return displacement_gradient(
-            self._equilibrium,
-            problem_at,
-            parameter,
-            self._body.complete(self._stated)[parameter.name],
-            follows_path=parameter.name in self._body.path_dependent,
-        )
-
-    def to_meshio(self) -> meshio.Mesh:
-        """Return the deformed mesh with displacement, stress and strain as a `meshio.Mesh`.
-
-        It has the same values as a ``.vtu`` file of ``palpate export``.
-        """
-        data = self._mesh_data
-        return meshio.Mesh(
-            data.mesh.nodes,
-            [("tetra", data.mesh.tets.copy())],
-            point_data={name: values.copy() for name, values in data.points.items()},
-            cell_data={name: [values.copy()] for name, values in data.cells.items()},
-        )
+        deformed: Volume = self._loaded.deform(self.displacement_mm.copy())
+        return deformed
 
     def to_vtu(self, path: str | Path) -> Path:
         """Write the mesh of `to_meshio` for ParaView; .vtk and .msh work as well.
+
+        It has the same values as a ``.vtu`` file of ``palpate export``.
 
         Raises
         ------
@@ -361,18 +149,37 @@ class Simulation(ReadOnly):
             ) from None
         return pyvista.from_meshio(self.to_meshio())
 
-    @cached_property
-    def _equilibrium(self) -> Equilibrium:
-        """The state of the solver; recomputed if the simulation ran elsewhere."""
-        if self._solved is not None:
-            return self._solved
-        return equilibrium(self._body.model, self._body.problem(self._body.complete(self._stated)))
+    _solve = staticmethod(equilibrium)
+
+    @staticmethod
+    def _mesh(model: Model) -> dict[str, Any]:
+        finest = model.finest
+        tissue = finest.fractions.argmax(axis=1).astype(np.int32)
+        return {"nodes_mm": finest.nodes, "tetrahedra": finest.elements.tets, "tissue": tissue}
+
+    def _slope(self, parameter: Parameter, change: Change) -> FloatArray:
+        if not self._loaded.follows_path(parameter.name):
+            slope: FloatArray = tangents(self._equilibrium, [change])[0]
+            return slope
+        ends = [self._nearby(problem, parameter) for problem in (change.plus, change.minus)]
+        return (ends[0] - ends[1]) * (1.0 / change.step)
+
+    def _nearby(self, problem: Problem, parameter: Parameter) -> FloatArray:
+        start: Equilibrium = self._equilibrium
+        solution = equilibrium(start.imaged, problem, start).solution
+        if not solution.outcome.converged:
+            raise InputError(
+                f"The derivative with respect to {parameter.door_name} cannot be computed: a "
+                f"nearby simulation diverged ({solution.outcome.reason})."
+            )
+        return solution.displacement_mm
 
     @cached_property
     def _level(self) -> Level:
         if self._solved is not None:
-            return self._solved.levels[-1]
-        model, problem = self._body.model, self._body.problem(self._body.complete(self._stated))
+            level: Level = self._solved.levels[-1]
+            return level
+        model, problem = self._loaded.model, self._problem
         if any(problem.imaged_gravity_g):
             model = stress_free(model, problem)
         return Level.build(model.finest, problem)
@@ -387,3 +194,8 @@ class Simulation(ReadOnly):
     def _mesh_data(self) -> MeshData:
         deformed = TetMesh(self.deformed_nodes_mm, self.tetrahedra)
         return mesh_data(deformed, self.displacement_mm, self.tissue, self._fields)
+
+    @property
+    def _exported(self) -> tuple[Values, Values]:
+        data = self._mesh_data
+        return data.points, data.cells

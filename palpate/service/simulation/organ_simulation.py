@@ -5,20 +5,18 @@ Flat keys such as ``nodes=2000, force_n=50, E_fat_kpa=8`` are checked as in a fi
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 from distributed import Client
 
 from palpate.service.cluster.worker_failures import prepare_workers
-from palpate.service.simulation.body_simulation import MeshedBody, Simulation
+from palpate.service.simulation.simulation_record import LoadedModel, SimulationRecord
 from palpate.storage.backends.store_paths import Location
 from palpate.storage.errors import InputError
-from palpate.storage.store import open_store
+from palpate.storage.store import Store, open_store
 from palpate.storage.stored_arrays import load_field
 from palpate.storage.values import EvaluationResult, FloatArray, Volume
 from palpate.workers.common_keys import CaseSpec, Door, validated
-from palpate.workers.mechanics.fem.boundary_value_problem import Problem
-from palpate.workers.mechanics.fem.discretisation import Model
 from palpate.workers.mechanics.model_parameters import Vocabulary, unknown_name
 from palpate.workers.organs.organ_plugins import catalogue_of, organ_named, organ_spec
 from palpate.workers.organs.organ_protocol import CheckingOrgan, Organ, StoredOrgan
@@ -120,17 +118,44 @@ def _sections(case: type[CaseSpec]) -> dict[str, type[Door]]:
     return {n: t for n, t in found.items() if isinstance(t, type) and issubclass(t, Door)}
 
 
+def solved_on(
+    client: Client, store: Store, task: Callable[..., EvaluationResult], *arguments: Any
+) -> tuple[FloatArray, str, Mapping[str, Any]]:
+    """Return displacement, reason and outcome of a simulation by a worker.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    store : Store
+        Where the worker saves the result.
+    task : callable
+        Simulates, with the location of the store as its last argument.
+    *arguments
+        The others.
+
+    Raises
+    ------
+    ClusterError
+        If the workers have another version of Palpate.
+    """
+    prepare_workers(client)
+    result = client.submit(task, *arguments, str(store), pure=False).result()
+    return load_field(store, result["digest"]), result["reason"], result["outcome"]
+
+
 class OrganModel:
     """A body, its mesh and its model; nothing is stored unless a client simulates it.
 
     Parameters
     ----------
     case : CaseSpec
+    kind : type
+        Class of its simulations.
     given : object, optional
         The body itself, if ``case.reference`` only describes its labels. Default: the body
         that the case describes.
     shown : callable, optional
-        Converts a deformed body for the caller.
+        Converts the picture of a deformed body for the caller. Default: the body itself.
 
     Raises
     ------
@@ -141,12 +166,13 @@ class OrganModel:
     def __init__(
         self,
         case: Any,
+        kind: type[SimulationRecord],
         given: Volume | None = None,
         shown: Callable[[Volume], Volume] | None = None,
     ) -> None:
         self.case: Any = case
         self.organ: Organ[Any, Any, Any] = organ_named(case.organ)
-        self._given, self._shown = given, shown
+        self._kind, self._given, self._shown = kind, given, shown
         if given is None:
             self.body = self.organ.make_body(case.reference)
         else:
@@ -188,34 +214,19 @@ class OrganModel:
         """Return the problem for all constants, in internal names and units."""
         return self.organ.problem(self.model, self.case, constants, self.landmarks)
 
-    def simulate(self, constants: Mapping[str, float]) -> Simulation:
-        """Load the body in this process.
+    def simulate(
+        self, constants: Mapping[str, float], client: Client | None, place: Location
+    ) -> Any:
+        """Load the body in this process, or on a worker, which reads it from a store.
 
         Parameters
         ----------
         constants : mapping of str to float
             Constants with the names and units of a study file.
-
-        Raises
-        ------
-        InputError
-            If a constant is unknown or not admissible.
-        """
-        stated = stated_constants(self.case, constants)
-        return self._meshed.simulate(stated)
-
-    def simulate_on(
-        self, client: Client, constants: Mapping[str, float], place: Location
-    ) -> Simulation:
-        """Load the body on a worker, which reads it from a store; see `simulate` and `solve_on`."""
-        displacement_mm, result = self.solve_on(client, constants, place)
-        stated = stated_constants(self.case, constants)
-        return self._meshed.result(stated, displacement_mm, result["outcome"])
-
-    def solve_on(
-        self, client: Client, constants: Mapping[str, float], place: Location
-    ) -> tuple[FloatArray, EvaluationResult]:
-        """Return the displacement computed by a worker for this mesh, and its record.
+        client : distributed.Client or None
+            None for this process.
+        place : str or Path
+            Location of the store.
 
         Raises
         ------
@@ -226,32 +237,33 @@ class OrganModel:
         StoreError
             If the store cannot be used.
         """
-        stated, store = stated_constants(self.case, constants), open_store(place)
-        bodies = BodyStore(store, self.organ)
+        stated = stated_constants(self.case, constants)
+        if client is None:
+            return self._loaded.simulate(stated)
+        bodies = BodyStore(open_store(place), self.organ)
         case = self.case.model_dump(mode="json")
         if self._given is not None:
             case["reference"] = {"volume": bodies.add(self.body, {"kind": "generated"})}
-        prepare_workers(client)
-        task = client.submit(simulate_once, case, stated, str(store), pure=False)
-        result: EvaluationResult = task.result()
-        prepared = prepare_case(case, str(store))
-        self.__dict__["mesh"] = bodies.mesh(prepared["mesh"])
-        return load_field(store, result["digest"]), result
+        found = solved_on(client, bodies.store, simulate_once, case, stated)
+        self.__dict__["mesh"] = bodies.mesh(prepare_case(case, str(bodies.store))["mesh"])
+        return self._loaded.result(stated, *found)
 
     @cached_property
-    def _meshed(self) -> MeshedBody:
-        if not isinstance(self.model, Model):
-            raise InputError(f"A {self.case.organ} is not a body of tetrahedra.")
-        effects = catalogue_of(self.case.organ).effects
-        return MeshedBody(
+    def _loaded(self) -> LoadedModel[Any]:
+        return LoadedModel(
+            kind=self._kind,
             model=self.model,
             vocabulary=self.case.vocabulary,
             complete=self.case.complete,
-            problem=cast(Callable[[Mapping[str, float]], Problem], self.problem),
-            path_dependent=frozenset(n for e in effects if e.follows_path for n in e.names),
+            problem=self.problem,
+            follows_path=self._follows_path,
             deform=self._deformed,
         )
 
-    def _deformed(self, displacement_mm: FloatArray) -> Volume:
-        deformed = self.organ.picture(self.organ.deform(self.body, self.mesh, displacement_mm))
-        return deformed if self._shown is None else self._shown(deformed)
+    def _follows_path(self, name: str) -> bool:
+        effects = catalogue_of(self.case.organ).effects
+        return any(name in effect.names for effect in effects if effect.follows_path)
+
+    def _deformed(self, displacement_mm: FloatArray) -> Any:
+        deformed = self.organ.deform(self.body, self.mesh, displacement_mm)
+        return deformed if self._shown is None else self._shown(self.organ.picture(deformed))

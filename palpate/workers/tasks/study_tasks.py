@@ -198,9 +198,9 @@ def simulate_once(case: SpecJson, constants: Mapping[str, float], store: str) ->
         volume = None
         if evaluation.deformed is not None:
             volume = bodies.add(evaluation.deformed, {"kind": "simulated", "constants": values})
-        result = _result(name, values, evaluation.solution, watch)
+        result = simulation_result(name, values, evaluation.solution, watch)
         result["volume"] = volume
-        done = _save(bodies.store, result, evaluation.solution)
+        done = save_simulation(bodies.store, result, evaluation.solution)
     return done
 
 
@@ -239,11 +239,11 @@ def evaluate(request: EvaluationRequest) -> EvaluationResult:
     evaluation = pipeline.evaluate(setup, values, watch, free)
     if request.get("keep_volume") and evaluation.deformed is not None:
         _save_body(bodies, name, evaluation.deformed, values)
-    result = _result(name, values, evaluation.solution, watch)
+    result = simulation_result(name, values, evaluation.solution, watch)
     result["score"] = evaluation.scores
     if free:
         result["fit"] = evaluation.fit
-    result = _save(bodies.store, result, evaluation.solution)
+    result = save_simulation(bodies.store, result, evaluation.solution)
     result["reused"] = False
     return result
 
@@ -350,9 +350,10 @@ def _checked_digest(request: EvaluationRequest) -> str:
     return name
 
 
-def _result(
+def simulation_result(
     name: str, values: Mapping[str, float], solution: Solution, watch: Watch
 ) -> EvaluationResult:
+    """Return the record of a simulation, without a comparison."""
     outcome = solution.outcome
     return {
         "digest": name,
@@ -365,7 +366,7 @@ def _result(
     }
 
 
-def _save(store: Store, result: EvaluationResult, solution: Solution) -> EvaluationResult:
+def save_simulation(store: Store, result: EvaluationResult, solution: Solution) -> EvaluationResult:
     """Store the field first and the record last, so an existing record guarantees the rest.
 
     Return the result as read back from the store.

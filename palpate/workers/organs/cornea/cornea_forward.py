@@ -1,12 +1,7 @@
-"""Simulations of a cornea: as arrays, and as the forward problem of a diagnosis.
+"""The cornea as the forward problem of a diagnosis, and its strain and stress."""
 
-`LoadedCornea` is one simulation as arrays: displacement, strain, stress and derivatives.
-`CorneaForward` is what a diagnosis solves; see `diagnosis.problem.forward`.
-"""
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,14 +9,7 @@ import numpy as np
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray
 from palpate.workers.mechanics.fem.boundary_value_problem import Change
-from palpate.workers.mechanics.model_parameters import Parameter
-from palpate.workers.organs.cornea.cornea_keys import CorneaCase
-from palpate.workers.organs.cornea.cornea_problem import (
-    Candidate,
-    MeshForModels,
-    candidate_of,
-    prepare,
-)
+from palpate.workers.organs.cornea.cornea_problem import Candidate, prepare
 from palpate.workers.organs.cornea.corneal_model import CorneaModel
 from palpate.workers.organs.cornea.prestressed_equilibrium import (
     CandidateChange,
@@ -33,97 +21,25 @@ from palpate.workers.organs.cornea.prestressed_equilibrium import (
 )
 from palpate.workers.organs.cornea.t6_elements import deformed_state
 
-# Difference step of a constant: relative to its value, or to its interval if it can be zero.
-CONSTANT_STEP = 1e-5
 
+def deformation_and_stress(solved: Equilibrium) -> tuple[FloatArray, FloatArray]:
+    """Return the deformation gradient and the Cauchy stress in MPa.
 
-@dataclass(frozen=True, eq=False)
-class LoadedCornea:
-    """A section under the pressure of the eye and an air jet.
-
-    Parameters
-    ----------
-    meshes : MeshForModels
-    case : CorneaCase
-    constants : mapping of str to float
-        All constants, in internal names and units.
-    middle_mm : float
-        x of the middle of the section.
+    Both have the shape (m, q, 3, 3): m triangles, q points in each; the third axis is normal
+    to the section. The gradient is relative to the configuration of the prestress.
     """
-
-    meshes: MeshForModels
-    case: CorneaCase
-    constants: Mapping[str, float]
-    middle_mm: float
-
-    @cached_property
-    def candidate(self) -> Candidate:
-        """Return the candidate."""
-        return self._candidate(self.constants)
-
-    @cached_property
-    def equilibrium(self) -> Equilibrium:
-        """Return the solution with its equations."""
-        at = self.candidate
-        return equilibrium(at.prepared, at.constants, at.load)
-
-    @cached_property
-    def fields(self) -> tuple[FloatArray, FloatArray]:
-        """Return the deformation gradient and the Cauchy stress in MPa.
-
-        Both have the shape (m, q, 3, 3): m triangles, q points in each; the third axis is normal
-        to the section. The gradient is relative to the configuration of the prestress.
-        """
-        solved, u = self.equilibrium, self.equilibrium.solution.displacement_mm
-        system = solved.prestressed.system
-        plane, third, stress = deformed_state(
-            system.from_rest(u), system.elements, system.law, system.prepared.kind
-        )
-        F = np.zeros((*third.shape, 3, 3))
-        F[..., :2, :2] = plane.reshape(*third.shape, 2, 2)
-        F[..., 2, 2] = third
-        S = np.zeros_like(F)
-        S[..., 0, 0], S[..., 1, 1], S[..., 2, 2] = stress[..., 0], stress[..., 1], stress[..., 3]
-        S[..., 0, 1] = S[..., 1, 0] = stress[..., 2]
-        cauchy = F @ S @ F.swapaxes(-1, -2) / np.linalg.det(F)[..., None, None]
-        return F, cauchy
-
-    def gradient(self, parameter: Parameter) -> FloatArray:
-        """Return the derivative of the displacement, shape (n, 2), in mm per external unit.
-
-        Raises
-        ------
-        InputError
-            If the simulation did not converge.
-        """
-        solution = self.equilibrium.solution
-        if not solution.converged:
-            raise InputError(
-                "Only an equilibrium has derivatives; this simulation did not converge: "
-                f"{solution.reason}."
-            )
-        value = self.constants[parameter.name]
-        h = CONSTANT_STEP * (value or parameter.upper - parameter.lower)
-        per_unit = parameter.unit.to_inside(1.0)
-        ahead = self._candidate({**self.constants, parameter.name: value + h})
-        if _is_admissible(parameter, value - h):
-            behind = self._candidate({**self.constants, parameter.name: value - h})
-            change = CandidateChange(ahead, behind, h)
-            derivative = sensitivity(self.candidate, [change], self.equilibrium).derivatives[0]
-            return np.asarray(derivative * per_unit)
-        moved = equilibrium(ahead.prepared, ahead.constants, ahead.load).solution
-        return np.asarray((moved.displacement_mm - solution.displacement_mm) / h * per_unit)
-
-    def _candidate(self, constants: Mapping[str, float]) -> Candidate:
-        return candidate_of(self.meshes, self.case, constants, self.middle_mm)
-
-
-def _is_admissible(parameter: Parameter, value: float) -> bool:
-    try:
-        parameter.check(value)
-    except InputError:
-        return False
-    return True
+    u, system = solved.solution.displacement_mm, solved.prestressed.system
+    plane, third, stress = deformed_state(
+        system.from_rest(u), system.elements, system.law, system.prepared.kind
+    )
+    F = np.zeros((*third.shape, 3, 3))
+    F[..., :2, :2] = plane.reshape(*third.shape, 2, 2)
+    F[..., 2, 2] = third
+    S = np.zeros_like(F)
+    S[..., 0, 0], S[..., 1, 1], S[..., 2, 2] = stress[..., 0], stress[..., 1], stress[..., 3]
+    S[..., 0, 1] = S[..., 1, 0] = stress[..., 2]
+    cauchy = F @ S @ F.swapaxes(-1, -2) / np.linalg.det(F)[..., None, None]
+    return F, cauchy
 
 
 @dataclass(frozen=True, eq=False)

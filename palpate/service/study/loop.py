@@ -330,7 +330,7 @@ class _Run:
     def _identify(self, best: EvaluationRecord, evaluation: EvaluationRun) -> None:
         """Compute the identifiability of the constants from the derivatives at the best point."""
         organ = self.spec.case.organ
-        differentiable = organ_spec(organ).nuisances is not None
+        differentiable = organ_spec(organ).has_derivatives
         reason = "" if differentiable else no_derivatives(organ)
         fit = best.fit
         if fit is None and differentiable:

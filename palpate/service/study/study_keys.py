@@ -132,7 +132,7 @@ class StudySpec(Door):
 
     @model_validator(mode="after")
     def _organ_has_derivatives(self) -> Self:
-        if self.search.by_derivatives and organ_spec(self.case.organ).nuisances is None:
+        if self.search.by_derivatives and not organ_spec(self.case.organ).has_derivatives:
             reason = no_derivatives(self.case.organ)
             raise ValueError(f"search.strategy {self.search.strategy}: {reason}")
         return self

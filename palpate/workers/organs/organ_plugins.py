@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from palpate.storage.values import FreeParameter
 from palpate.workers import plugins
-from palpate.workers.common_keys import CaseSpec
-from palpate.workers.mechanics.fem.loads_and_regions import Pressed
-from palpate.workers.organs.organ_protocol import Organ, OrganSpec, PressedOrgan
+from palpate.workers.organs.organ_protocol import Organ, OrganSpec
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -180,8 +178,18 @@ def organ_spec(name: str) -> OrganSpec:
 
 def organ_named(name: str) -> Organ[Any, Any, Any]:
     """Return an organ; see `organ_plugin`."""
-    organ: Organ[Any, Any, Any] = resolve(organ_plugin(name).organ)
-    return organ
+    return organ_of(organ_plugin(name))
+
+
+def organ_of(plugin: OrganPlugin) -> Organ[Any, Any, Any]:
+    """Return the organ of a plug-in; the defaults are added to one that is no `Organ`."""
+    organ = resolve(plugin.organ)
+    if isinstance(organ, Organ):
+        return organ
+    own = {name: getattr(organ, name) for name in dir(organ) if not name.startswith("_")}
+    own |= {name: staticmethod(method) for name, method in own.items() if callable(method)}
+    completed: type[Organ[Any, Any, Any]] = type(plugin.name, (Organ,), own)
+    return completed()
 
 
 def findings_of(organ: str) -> Findings | None:
@@ -201,9 +209,3 @@ def catalogue_of(organ: str) -> "Catalogue":
     """
     catalogue: Catalogue = resolve(organ_plugin(organ).effects)
     return catalogue
-
-
-def pressed_of(case: CaseSpec) -> Pressed | None:
-    """Return the compression of a case by plates; None for an organ without plates."""
-    organ = organ_named(case.organ)
-    return organ.pressed(case) if isinstance(organ, PressedOrgan) else None

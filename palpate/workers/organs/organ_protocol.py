@@ -1,20 +1,21 @@
-"""What an organ offers: its protocols, the specification of its study files, its nuisances.
+"""What an organ offers: its base class, the specification of its study files, its nuisances.
 
 ::
 
     make_body > make_mesh > prepare > solve > deform > scorer
 
-An organ is an object that follows `Organ`, named by an `OrganPlugin`, through which it is searched
-and evaluated. It takes and returns values: volumes or sections, meshes, displacements. How they
-are stored is decided by `workers.tasks`. An `OrganSpec` states its keys and parameters and is read
+An organ inherits from `Organ` and is named by an `OrganPlugin`, through which it is searched and
+evaluated. It takes and returns values: volumes or sections, meshes, displacements. How they are
+stored is decided by `workers.tasks`. An `OrganSpec` states its keys and parameters and is read
 without its solver. A `Nuisance` is a parameter that is uncertain but not searched, and allowed
 for in intervals.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar, cast
 
 from numpy.typing import NDArray
 
@@ -118,6 +119,11 @@ class OrganSpec:
     parameters: Vocabulary
     nuisances: Callable[[Any, bool], Sequence[Nuisance]] | None = None
 
+    @property
+    def has_derivatives(self) -> bool:
+        """Whether constants can be fitted by derivatives, with `Organ.fit`."""
+        return self.nuisances is not None
+
 
 def no_derivatives(organ: str) -> str:
     """Return the sentence for an organ whose constants cannot be fitted by derivatives."""
@@ -211,34 +217,31 @@ def logarithmic(parameter: FreeParameter) -> bool:
     return parameter["lower"] > 0
 
 
-class Organ(Protocol[Body, Mesh, Model]):
+class Organ(ABC, Generic[Body, Mesh, Model]):
     """An organ: its bodies and meshes, its model and its score.
 
-    Its keys are an `OrganSpec`; the optional capabilities are the protocols below.
+    Its keys are an `OrganSpec`. It writes what is abstract here and what differs from the defaults,
+    which suit a generated body that is a `Volume`, without parts, plates or derivatives.
+
+    Parameters
+    ----------
+    name : str
+        The name given under ``organ`` in a case.
+    picture_labels : mapping of int to str
+        The names of the labels of `picture`.
     """
 
-    @property
-    def name(self) -> str:
-        """The name given under ``organ`` in a case."""
+    name: str
+    picture_labels: Mapping[int, str]
 
-    @property
-    def picture_labels(self) -> Mapping[int, str]:
-        """The names of the labels of `picture`, by number."""
-
-    def body_files(self, spec: Door) -> Sequence[Path]:
-        """Return the files that a body is read from; none if it is generated.
+    @abstractmethod
+    def make_body(self, spec: Door) -> Body:
+        """Read or generate a body.
 
         Parameters
         ----------
         spec : Door
             ``reference`` of a case, or a target that is an image.
-        """
-
-    def body_settings(self, spec: Door) -> Facts:
-        """Return the settings besides its files on which a body depends, as plain values."""
-
-    def make_body(self, spec: Door) -> Body:
-        """Read or generate a body.
 
         Raises
         ------
@@ -246,18 +249,7 @@ class Organ(Protocol[Body, Mesh, Model]):
             If its files cannot be read, or show no body.
         """
 
-    def body_to_arrays(self, body: Body) -> Arrays | Volume:
-        """Return a body in the form of the store: a volume, or named arrays."""
-
-    def body_from_arrays(self, arrays: Arrays | Volume) -> Body:
-        """Return the body from the result of `body_to_arrays`."""
-
-    def simulated_case(self, case: Any, target: Any) -> CaseSpec:
-        """Return the case for simulating a target, with the target's own mesh settings if any."""
-
-    def mesh_settings(self, case: Any) -> Facts:
-        """Return the settings of the mesh, apart from the body, as plain values."""
-
+    @abstractmethod
     def make_mesh(self, body: Body, case: Any) -> Mesh:
         """Mesh a body.
 
@@ -267,21 +259,11 @@ class Organ(Protocol[Body, Mesh, Model]):
             If it cannot be meshed as the case requires.
         """
 
-    def mesh_to_arrays(self, mesh: Mesh) -> Arrays:
-        """Return a mesh as named arrays."""
-
-    def mesh_from_arrays(self, arrays: Arrays) -> Mesh:
-        """Return the mesh from the result of `mesh_to_arrays`."""
-
+    @abstractmethod
     def facts(self, body: Body, mesh: Mesh) -> Facts:
         """Return sizes, volumes and counts of body and mesh, with units in their names."""
 
-    def prepare(self, mesh: Mesh) -> Model:
-        """Prepare everything that depends on the mesh alone; cached for all candidates."""
-
-    def landmarks(self, body: Body, case: Any) -> Any:
-        """Return the landmarks of a body for its load, such as its extent."""
-
+    @abstractmethod
     def problem(
         self,
         model: Model,
@@ -300,40 +282,120 @@ class Organ(Protocol[Body, Mesh, Model]):
             Of an imaged target; None for a simulated one and where there is none.
         """
 
+    @abstractmethod
     def solve(self, model: Model, problem: Any) -> Solution:
         """Deform the body; failure to converge is an ordinary outcome."""
 
+    @abstractmethod
     def deform(
         self, body: Body, mesh: Mesh, displacement_mm: FloatArray, target: Body | None = None
     ) -> Body:
         """Return the deformed body, on the lattice of the target if there is one."""
 
+    @abstractmethod
     def scorer(self, target: Body, spec: Any) -> Scorer[Body]:
         """Return the scorer of bodies against a target."""
 
-    def picture(self, body: Body) -> Volume:
-        """Return a body as labelled voxels, to be drawn; a section has one slice."""
+    def body_files(self, spec: Door) -> Sequence[Path]:
+        """Return the files that `make_body` reads; none if the body is generated."""
+        return ()
 
+    def body_settings(self, spec: Door) -> Facts:
+        """Return the settings besides its files on which a body depends, as plain values."""
+        return spec.model_dump(mode="json")
 
-@runtime_checkable
-class AligningOrgan(Protocol):
-    """An organ whose imaged targets can be aligned with the undeformed body."""
+    def stored_name(self, spec: Door) -> str | None:
+        """Return the name of a body in the store, or None if the body has to be made."""
+        return None
 
-    def aligned(self, target: Any, reference: Any, case: Any) -> tuple[Any, Facts]:
-        """Return a target in the frame of the undeformed body, and the motion applied.
+    def adapt_stored(self, body: Body, spec: Door) -> Body | None:
+        """Return a stored body as `spec` describes it; None if it is used unchanged.
+
+        Raises
+        ------
+        InputError
+            If `spec` has keys that apply only to files, or the body is unsuitable for a study.
+        """
+        return None
+
+    def body_to_arrays(self, body: Body) -> Arrays | Volume:
+        """Return a body in the form of the store: a volume, or named arrays."""
+        return cast(Volume, body)
+
+    def body_from_arrays(self, arrays: Arrays | Volume) -> Body:
+        """Return the body from the result of `body_to_arrays`."""
+        return cast(Body, arrays)
+
+    def aligned(self, target: Body, reference: Body, case: Any) -> tuple[Body, Facts]:
+        """Return an imaged target in the frame of the undeformed body, and the motion applied.
 
         Facts are ``shift_mm`` and ``turn_deg``, each (x, y, z), and ``words``.
+
+        Raises
+        ------
+        InputError
+            If images of this organ cannot be aligned.
         """
+        raise InputError(f"target.align: images of the organ {self.name} cannot be aligned.")
 
+    def coarse(self, body: Body, spacing_mm: float) -> Body:
+        """Return a body in coarser voxels; itself where it is as coarse, or has no voxels."""
+        return body
 
-@runtime_checkable
-class DifferentiableOrgan(Protocol):
-    """An organ whose constants can be fitted by derivatives."""
+    def simulated_case(self, case: Any, target: Any) -> CaseSpec:
+        """Return the case for simulating a target, with the target's own mesh settings if any."""
+        mesh = getattr(target, "mesh", None)
+        return case if mesh is None else case.model_copy(update={"mesh": mesh})
+
+    def mesh_settings(self, case: Any) -> Facts:
+        """Return the settings of the mesh, apart from the body, as plain values."""
+        return case.model_dump(mode="json", exclude={"organ", "reference", "constants"})
+
+    def mesh_to_arrays(self, mesh: Mesh) -> Arrays:
+        """Return a mesh as named arrays."""
+        return cast(Arrays, mesh)
+
+    def mesh_from_arrays(self, arrays: Arrays) -> Mesh:
+        """Return the mesh from the result of `mesh_to_arrays`."""
+        return cast(Mesh, arrays)
+
+    def check(self, case: Any, body: Body, mesh_facts: Facts) -> None:
+        """Check that the meshed body of a case can be modelled as specified.
+
+        Raises
+        ------
+        InputError
+            With the value found, the value expected and what to change.
+        """
+        return
+
+    def prepare(self, mesh: Mesh) -> Model:
+        """Prepare everything that depends on the mesh alone; cached for all candidates."""
+        return cast(Model, mesh)
+
+    def landmarks(self, body: Body, case: Any) -> Any:
+        """Return the landmarks of a body for its load, such as its extent."""
+        return None
+
+    def pressed(self, case: Any) -> Pressed | None:
+        """Return the compression by plates; None without plates."""
+        return None
+
+    def scores_by_part(self, target: Body, candidate: Body, spec: Any) -> dict[str, Scores]:
+        """Return the score of each part, by name; an organ without parts is one."""
+        return {self.name: self.scorer(target, spec).score(candidate).as_dict()}
+
+    def picture(self, body: Body) -> Volume:
+        """Return a body as labelled voxels, to be drawn; a section has one slice."""
+        return cast(Volume, body)
+
+    # An organ with derivatives writes these three, and states `OrganSpec.nuisances`.
 
     def coarse_case(self, case: Any, nodes: int) -> CaseSpec:
         """Return the case with a mesh of approximately the given number of nodes."""
+        raise InputError(no_derivatives(self.name))
 
-    def observation(self, body: Any, mesh: Any, target: Any, imaged: bool) -> Any:
+    def observation(self, body: Body, mesh: Mesh, target: Body, imaged: bool) -> Any:
         """Return the data of body and target for residuals; cached for all candidates.
 
         Parameters
@@ -341,10 +403,11 @@ class DifferentiableOrgan(Protocol):
         imaged : bool
             Whether the target is an image; else it was simulated.
         """
+        raise InputError(no_derivatives(self.name))
 
     def fit(
         self,
-        model: Any,
+        model: Model,
         case: Any,
         constants: Mapping[str, float],
         free: Sequence[FreeParameter],
@@ -354,82 +417,10 @@ class DifferentiableOrgan(Protocol):
     ) -> Fitted:
         """Deform the body, and differentiate its residuals with respect to the free parameters.
 
-        The displacement equals the result of `Organ.solve` for the same problem.
+        The displacement equals the result of `solve` for the same problem.
         """
+        raise InputError(no_derivatives(self.name))
 
 
-def differentiable(organ: Organ[Any, Any, Any]) -> DifferentiableOrgan:
-    """Return an organ as one whose constants can be fitted by derivatives.
-
-    Raises
-    ------
-    InputError
-        If they cannot.
-    """
-    if not isinstance(organ, DifferentiableOrgan):
-        raise InputError(no_derivatives(organ.name))
-    return organ
-
-
-@runtime_checkable
-class VoxelOrgan(Protocol):
-    """An organ whose bodies are voxels, so that they can be fitted in coarser ones first."""
-
-    def coarse(self, body: Any, spacing_mm: float) -> Any:
-        """Return a body in coarser voxels; itself where it is as coarse."""
-
-
-@runtime_checkable
-class StoredOrgan(Protocol):
-    """An organ whose bodies can be named in the store instead of being read from a file."""
-
-    def stored_name(self, spec: Door) -> str | None:
-        """Return the name of the stored body, or None if the body has to be made."""
-
-    def adapt_stored(self, body: Any, spec: Door) -> Any | None:
-        """Return a stored body as `spec` describes it; None if it is used unchanged.
-
-        Raises
-        ------
-        InputError
-            If `spec` has keys that apply only to files, or the body is unsuitable for a study.
-        """
-
-
-@runtime_checkable
-class CheckingOrgan(Protocol):
-    """An organ that checks a body after meshing."""
-
-    def check(self, case: Any, body: Any, mesh_facts: Mapping[str, Any]) -> None:
-        """Check that the body of a case can be modelled as specified.
-
-        Raises
-        ------
-        InputError
-            With the value found, the value expected and what to change.
-        """
-
-
-@runtime_checkable
-class PartedOrgan(Protocol):
-    """An organ of several parts, each with a score of its own."""
-
-    def scores_by_part(self, target: Any, candidate: Any, spec: Any) -> dict[str, Scores]:
-        """Return the score of each part, by name."""
-
-
-def scores_by_part(
-    organ: Organ[Any, Any, Any], target: Any, candidate: Any, spec: Any
-) -> dict[str, Scores]:
-    """Return the score of each part of an organ, by name; an organ without parts is one."""
-    if isinstance(organ, PartedOrgan):
-        return organ.scores_by_part(target, candidate, spec)
-    return {organ.name: organ.scorer(target, spec).score(candidate).as_dict()}
-
-
-@runtime_checkable
-class PressedOrgan(Protocol):
-    """An organ that is compressed by plates."""
-
-    def pressed(self, case: Any) -> Pressed:
-        """Return the compression by the plates."""
+# The former interfaces of optional methods.
+CheckingOrgan = StoredOrgan = Organ

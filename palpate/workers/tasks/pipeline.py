@@ -22,7 +22,6 @@ from palpate.workers.organs.organ_protocol import (
     Scorer,
     Scores,
     Solution,
-    differentiable,
     logarithmic,
 )
 
@@ -125,7 +124,7 @@ def evaluate(
     fit: FitJson | None = None
     with watch.stage("solve"):
         if free:
-            fitted = differentiable(organ).fit(
+            fitted = organ.fit(
                 setup.model,
                 setup.case,
                 constants,

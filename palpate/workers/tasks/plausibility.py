@@ -16,7 +16,7 @@ from palpate.workers.organs.plausibility_rule import (
     accept,
     checks_of,
 )
-from palpate.workers.tasks.task_store import BodyStore, aligned_target
+from palpate.workers.tasks.task_store import BodyStore
 
 
 def study_findings(
@@ -59,7 +59,7 @@ def study_findings(
     reference = _imaged(bodies, case.reference, elsewhere)
     deformed = None if target.constants is not None else _imaged(bodies, target, elsewhere)
     if deformed is not None and reference is not None and target.is_aligned:
-        deformed = aligned_target(bodies.organ, deformed, reference, case)[0]
+        deformed = bodies.organ.aligned(deformed, reference, case)[0]
     yield from checks.of_bodies(case, target, score, reference, deformed)
 
 

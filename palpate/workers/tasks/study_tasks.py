@@ -44,14 +44,7 @@ from palpate.workers.organs.organ_plugins import (
     organ_named,
     organ_spec,
 )
-from palpate.workers.organs.organ_protocol import (
-    CheckingOrgan,
-    Organ,
-    OrganSpec,
-    Solution,
-    differentiable,
-    scores_by_part,
-)
+from palpate.workers.organs.organ_protocol import Organ, OrganSpec, Solution
 from palpate.workers.plugins import plugin
 from palpate.workers.resources import worker_name
 from palpate.workers.tasks import pipeline
@@ -106,8 +99,7 @@ def prepare_case(case: SpecJson, store: str) -> PreparedBody:
     bodies = BodyStore(open_store(store), organ)
     body = bodies.bring_body(spec.reference)
     mesh, facts = bodies.bring_mesh(body, spec)
-    if isinstance(organ, CheckingOrgan):
-        organ.check(spec, bodies.body(body), facts)
+    organ.check(spec, bodies.body(body), facts)
     return {"volume": body, "mesh": mesh, "facts": facts}
 
 
@@ -122,7 +114,7 @@ def prepare_level(
         If the body cannot be meshed so coarsely.
     """
     organ = case_organ(case)
-    spec = differentiable(organ).coarse_case(case_of(case), nodes)
+    spec = organ.coarse_case(case_of(case), nodes)
     bodies = BodyStore(open_store(store), organ)
     body = bodies.coarse(prepared["volume"], spacing_mm)
     coarse_target = bodies.coarse(target, spacing_mm)
@@ -301,11 +293,11 @@ def keep_volume(request: EvaluationRequest) -> str:
 def score_bodies(
     case: SpecJson, store: str, target: str, candidate: str, score: SpecJson | None = None
 ) -> Mapping[str, Scores]:
-    """Compare two stored bodies part by part; see `scores_by_part`."""
+    """Compare two stored bodies part by part; see `Organ.scores_by_part`."""
     organ = case_organ(case)
     how = validated(spec_of(case).score, score or {}, "The score")
     bodies = BodyStore(open_store(store), organ)
-    return scores_by_part(organ, bodies.body(target), bodies.body(candidate), how)
+    return organ.scores_by_part(bodies.body(target), bodies.body(candidate), how)
 
 
 def _dependencies(

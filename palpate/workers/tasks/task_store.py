@@ -41,14 +41,7 @@ from palpate.workers.common_keys import CaseSpec, Door, ScoreSpec
 from palpate.workers.comparison.score_objective import objective_named
 from palpate.workers.input_files import check_regular
 from palpate.workers.organs.organ_plugins import organ_modules
-from palpate.workers.organs.organ_protocol import (
-    AligningOrgan,
-    Facts,
-    Organ,
-    StoredOrgan,
-    VoxelOrgan,
-    differentiable,
-)
+from palpate.workers.organs.organ_protocol import Facts, Organ
 from palpate.workers.resources import CACHE
 from palpate.workers.tasks.code_version import code_version
 from palpate.workers.tasks.pipeline import Setup, Watch
@@ -204,10 +197,9 @@ class BodyStore:
         InputError
             If the body cannot be made, or is neither a file nor in the store.
         """
-        if isinstance(self.organ, StoredOrgan):
-            given = self.organ.stored_name(spec)
-            if given is not None:
-                return self._stored(self.organ, given, spec)
+        given = self.organ.stored_name(spec)
+        if given is not None:
+            return self._stored(given, spec)
         files = self.organ.body_files(spec)
         for file in files:
             check_regular(file)
@@ -223,7 +215,7 @@ class BodyStore:
 
     def bring_aligned(self, target: str, reference: str, case: CaseSpec) -> tuple[str, Facts]:
         """Return the digest of a stored target after alignment, and the motion that aligned it."""
-        body, motion = aligned_target(self.organ, self.body(target), self.body(reference), case)
+        body, motion = self.organ.aligned(self.body(target), self.body(reference), case)
         return self.add(body, {"kind": "image", "motion": dict(motion)}), motion
 
     def bring_mesh(self, body: str, case: CaseSpec) -> tuple[str, dict[str, Any]]:
@@ -293,8 +285,6 @@ class BodyStore:
         request = self._request("coarse body", name, spacing_mm)
 
         def make() -> str:
-            if not isinstance(self.organ, VoxelOrgan):
-                return name
             body = self.body(name)
             coarse = self.organ.coarse(body, spacing_mm)
             if coarse is body:
@@ -305,11 +295,10 @@ class BodyStore:
 
     def observation(self, body: str, mesh: str, target: str) -> Any:
         """Return the data of a body and its target needed for residuals."""
-        organ = differentiable(self.organ)
         return self._cached(
             f"observation {body} {mesh}",
             target,
-            lambda: organ.observation(
+            lambda: self.organ.observation(
                 self.body(body), self.mesh(mesh), self.body(target), self.imaged(target)
             ),
         )
@@ -366,9 +355,9 @@ class BodyStore:
         measure = self._cached(what, target, lambda: make(self.body(target)))
         return {"objective": objective, "measure": measure}
 
-    def _stored(self, organ: StoredOrgan, given: str, spec: Door) -> str:
+    def _stored(self, given: str, spec: Door) -> str:
         name = self._find(given)
-        adapted = organ.adapt_stored(self.body(name), spec)
+        adapted = self.organ.adapt_stored(self.body(name), spec)
         return name if adapted is None else self.add(adapted, {"kind": "image"})
 
     def _find(self, given: str) -> str:
@@ -412,18 +401,3 @@ class BodyStore:
 
     def _cached(self, kind: str, name: str, make: Callable[[], T]) -> T:
         return CACHE.get((kind, self.organ.name, str(self.store.root), name), make)
-
-
-def aligned_target(
-    organ: Organ[Any, Any, Any], target: Any, reference: Any, case: CaseSpec
-) -> tuple[Any, Facts]:
-    """Return a target in the frame of the undeformed body, and its motion.
-
-    Raises
-    ------
-    InputError
-        If targets of this organ cannot be aligned.
-    """
-    if not isinstance(organ, AligningOrgan):
-        raise InputError(f"target.align: images of the organ {organ.name} cannot be aligned.")
-    return organ.aligned(target, reference, case)

@@ -34,7 +34,6 @@ from palpate.workers.comparison.observation.interface_residual import (
 from palpate.workers.comparison.warp_volume import displacement_image
 from palpate.workers.diagnosis.problem.prepared_parts import shape
 from palpate.workers.organs.organ_plugins import findings_of, organ_named, organ_plugin
-from palpate.workers.organs.organ_protocol import scores_by_part
 from palpate.workers.tasks.task_store import BodyStore
 
 if TYPE_CHECKING:
@@ -223,7 +222,7 @@ def find_bodies(
     def scores(body: Any | None) -> Mapping[str, Scores]:
         if body is None or target is None or not compare:
             return {}
-        return scores_by_part(organ, target, body, spec.score)
+        return organ.scores_by_part(target, body, spec.score)
 
     def picture(body: Any | None) -> Volume | None:
         return None if body is None else organ.picture(body)

@@ -33,7 +33,7 @@ from palpate.storage.journal_records import EvaluationRecord
 from palpate.storage.values import Tissue
 from palpate.workers.common_keys import CaseSpec
 from palpate.workers.mechanics.fem.loads_and_regions import Pressed
-from palpate.workers.organs.organ_plugins import pressed_of
+from palpate.workers.organs.organ_plugins import organ_named
 
 # The script looks for charts of this kind by name.
 EVALUATIONS = "evaluations"
@@ -181,7 +181,7 @@ def section_pictures(bodies: Bodies, labels: Iterable[str], case: CaseSpec) -> l
 
 def plates_of(bodies: Bodies, case: CaseSpec) -> dict[str, Plates]:
     """Return the plates at the deformed bodies, by name in the slice viewer."""
-    pressed = pressed_of(case)
+    pressed = organ_named(case.organ).pressed(case)
     if pressed is None:
         return {}
     deformed = {"target": bodies.target, BEST: bodies.best}
@@ -243,7 +243,7 @@ def body_data(bodies: Bodies, case: CaseSpec) -> Json | None:
     ]
     scan = BodyScan(
         "",
-        pressed_of(case) or Pressed(),
+        organ_named(case.organ).pressed(case) or Pressed(),
         [{} if s.moved is None else {BEST: s.moved} for s in bodies.surfaces],
         [{} if s.gap_mm is None else {BEST: s.gap_mm} for s in bodies.surfaces],
     )

@@ -35,7 +35,6 @@ from palpate.workers.mechanics.fem.loads_and_regions import Pressed
 from palpate.workers.organs.breast.breast_keys import (
     BreastCase,
     BreastScore,
-    BreastTarget,
     ImageSpec,
     MeshSpec,
     PhantomSpec,
@@ -57,13 +56,13 @@ from palpate.workers.organs.breast.interface_fit import (
 )
 from palpate.workers.organs.breast.scan_alignment import aligned, study_load
 from palpate.workers.organs.breast.scan_facts import in_coarser_voxels
-from palpate.workers.organs.organ_protocol import Arrays, Facts, Scores
+from palpate.workers.organs.organ_protocol import Arrays, Facts, Organ, Scores
 
 OUTLINE = "outline"
 
 
-class Breast:
-    """The breast as an `Organ`, whose bodies are volumes of `Tissue` labels."""
+class Breast(Organ[Volume, Hierarchy, Model]):
+    """The breast, whose bodies are volumes of `Tissue` labels."""
 
     name = "breast"
     picture_labels: Mapping[int, str] = {int(t): t.name.lower() for t in Tissue if t}
@@ -93,14 +92,14 @@ class Breast:
         return read_image(_image_of(spec))
 
     def stored_name(self, spec: Door) -> str | None:
-        """See `StoredOrgan.stored_name`."""
+        """See `Organ.stored_name`."""
         if _phantom_of(spec):
             return None
         given = str(_image_of(spec).volume)
         return None if Path(given).exists() else given
 
     def adapt_stored(self, body: Volume, spec: Door) -> Volume | None:
-        """See `StoredOrgan.adapt_stored`."""
+        """See `Organ.adapt_stored`."""
         image = _image_of(spec)
         if image.spacing_mm is not None or image.axes is not None:
             raise InputError(
@@ -113,7 +112,7 @@ class Breast:
         return as_tissues(body, image)
 
     def aligned(self, target: Volume, reference: Volume, case: BreastCase) -> tuple[Volume, Facts]:
-        """See `workers.organs.organ_protocol.AligningOrgan.aligned`."""
+        """See `Organ.aligned`."""
         labels, motion = aligned(reference, target, study_load(case))
         facts = {
             "shift_mm": list(motion.shift_mm),
@@ -121,20 +120,6 @@ class Breast:
             "words": motion.words,
         }
         return labels, facts
-
-    def body_to_arrays(self, body: Volume) -> Volume:
-        """See `Organ.body_to_arrays`."""
-        return body
-
-    def body_from_arrays(self, arrays: Arrays | Volume) -> Volume:
-        """See `Organ.body_from_arrays`."""
-        if not isinstance(arrays, Volume):
-            raise TypeError("the body of a breast is stored as a volume")
-        return arrays
-
-    def simulated_case(self, case: BreastCase, target: BreastTarget) -> BreastCase:
-        """See `Organ.simulated_case`."""
-        return case if target.mesh is None else case.model_copy(update={"mesh": target.mesh})
 
     def mesh_settings(self, case: BreastCase) -> Facts:
         """See `Organ.mesh_settings`."""
@@ -176,7 +161,7 @@ class Breast:
         }
 
     def check(self, case: BreastCase, body: Volume, mesh_facts: Mapping[str, Any]) -> None:
-        """See `CheckingOrgan.check`."""
+        """See `Organ.check`."""
         if case.model.skin == "layer":
             check_skin_layer(body, mesh_facts["element_size_mm"])
 
@@ -205,17 +190,17 @@ class Breast:
         return solve(model, problem)
 
     def coarse(self, body: Volume, spacing_mm: float) -> Volume:
-        """See `VoxelOrgan.coarse`."""
+        """See `Organ.coarse`."""
         return in_coarser_voxels(body, spacing_mm)
 
     def coarse_case(self, case: BreastCase, nodes: int) -> BreastCase:
-        """See `DifferentiableOrgan.coarse_case`."""
+        """See `Organ.coarse_case`."""
         return case.model_copy(update={"mesh": MeshSpec(nodes=nodes)})
 
     def observation(
         self, body: Volume, mesh: Hierarchy, target: Volume, imaged: bool
     ) -> BreastObservation:
-        """See `DifferentiableOrgan.observation`."""
+        """See `Organ.observation`."""
         return observe_target(body, mesh, target, imaged)
 
     def fit(
@@ -228,7 +213,7 @@ class Breast:
         target_landmarks: Extent | None,
         observation: BreastObservation,
     ) -> FittedBreast:
-        """See `DifferentiableOrgan.fit`."""
+        """See `Organ.fit`."""
 
         def problem_of(values: Mapping[str, float]) -> Problem:
             return self.problem(model, case, values, landmarks, target_landmarks)
@@ -250,17 +235,13 @@ class Breast:
         return Scorer(target, labels=spec.tissues, surface=spec.surface)
 
     def pressed(self, case: BreastCase) -> Pressed:
-        """Return the compression by the plates; see `PressedOrgan.pressed`."""
+        """Return the compression by the plates; see `Organ.pressed`."""
         return pressed_by(case.load)
-
-    def picture(self, body: Volume) -> Volume:
-        """See `Organ.picture`."""
-        return body
 
     def scores_by_part(
         self, target: Volume, candidate: Volume, spec: BreastScore
     ) -> dict[str, Scores]:
-        """See `PartedOrgan.scores_by_part`: each tissue of the target, and the whole `OUTLINE`."""
+        """See `Organ.scores_by_part`: each tissue of the target, and the whole `OUTLINE`."""
         return score_by_tissue(target, candidate, spec.surface)
 
 

@@ -57,7 +57,7 @@ from palpate.workers.organs.cornea.tonometer_frames import (
     read_frame,
     read_picture,
 )
-from palpate.workers.organs.organ_protocol import Arrays, Facts
+from palpate.workers.organs.organ_protocol import Arrays, Facts, Organ
 
 CORNEA_LABEL = 5
 PIXEL_MM = 0.01
@@ -153,8 +153,8 @@ FEWEST_ELEMENTS = 60
 _MESH_ARRAYS = ("nodes_mm", "triangles", "anterior", "posterior", "left", "right")
 
 
-class Cornea:
-    """See `workers.organs.organ_protocol.Organ`; a body is a `Section`."""
+class Cornea(Organ[Section, T6Mesh, MeshForModels]):
+    """The cornea, whose bodies are sections."""
 
     name = "cornea"
     picture_labels: Mapping[int, str] = {CORNEA_LABEL: "cornea"}
@@ -194,10 +194,6 @@ class Cornea:
         if isinstance(arrays, Volume):
             raise TypeError("the body of a cornea is stored as two surfaces")
         return Section(anterior_mm=arrays["anterior_mm"], posterior_mm=arrays["posterior_mm"])
-
-    def simulated_case(self, case: CorneaCase, target: CorneaTarget) -> CorneaCase:
-        """See `Organ.simulated_case`."""
-        return case if target.mesh is None else case.model_copy(update={"mesh": target.mesh})
 
     def mesh_settings(self, case: CorneaCase) -> Facts:
         """See `Organ.mesh_settings`: the mesh has nodes at the edges of the jet."""
@@ -257,14 +253,14 @@ class Cornea:
         return CorneaOutcome(solve_prepared(problem.prepared, problem.constants, problem.load))
 
     def coarse_case(self, case: CorneaCase, nodes: int) -> CorneaCase:
-        """See `DifferentiableOrgan.coarse_case`: there are about two nodes per element."""
+        """See `Organ.coarse_case`: there are about two nodes per element."""
         mesh = MeshSpec(elements=max(FEWEST_ELEMENTS, nodes // 2))
         return case.model_copy(update={"mesh": mesh})
 
     def observation(
         self, body: Section, mesh: T6Mesh, target: Section, imaged: bool
     ) -> SurfaceObservation:
-        """See `DifferentiableOrgan.observation`."""
+        """See `Organ.observation`."""
         return observe_surfaces(mesh, target, imaged)
 
     def fit(
@@ -277,7 +273,7 @@ class Cornea:
         target_landmarks: float | None,
         observation: SurfaceObservation,
     ) -> FittedCornea:
-        """See `DifferentiableOrgan.fit`."""
+        """See `Organ.fit`."""
 
         def candidate_at(values: Mapping[str, float]) -> Candidate:
             return candidate_of(model, case, values, landmarks)

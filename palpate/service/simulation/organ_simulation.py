@@ -19,7 +19,7 @@ from palpate.storage.values import EvaluationResult, FloatArray, Volume
 from palpate.workers.common_keys import CaseSpec, Door, validated
 from palpate.workers.mechanics.model_parameters import Vocabulary, unknown_name
 from palpate.workers.organs.organ_plugins import catalogue_of, organ_named, organ_spec
-from palpate.workers.organs.organ_protocol import CheckingOrgan, Organ, StoredOrgan
+from palpate.workers.organs.organ_protocol import Organ
 from palpate.workers.organs.plausibility_rule import Finding, accept
 from palpate.workers.tasks.plausibility import case_findings
 from palpate.workers.tasks.study_tasks import prepare_case, simulate_once
@@ -176,7 +176,6 @@ class OrganModel:
         if given is None:
             self.body = self.organ.make_body(case.reference)
         else:
-            assert isinstance(self.organ, StoredOrgan)
             adapted = self.organ.adapt_stored(given, case.reference)
             self.body = given if adapted is None else adapted
 
@@ -196,8 +195,7 @@ class OrganModel:
     def mesh(self) -> Any:
         """The mesh, generated on first use."""
         mesh = self.organ.make_mesh(self.body, self.case)
-        if isinstance(self.organ, CheckingOrgan):
-            self.organ.check(self.case, self.body, self.organ.facts(self.body, mesh))
+        self.organ.check(self.case, self.body, self.organ.facts(self.body, mesh))
         return mesh
 
     @cached_property

@@ -420,7 +420,3 @@ class Organ(ABC, Generic[Body, Mesh, Model]):
         The displacement equals the result of `solve` for the same problem.
         """
         raise InputError(no_derivatives(self.name))
-
-
-# The former interfaces of optional methods.
-CheckingOrgan = StoredOrgan = Organ

@@ -123,7 +123,7 @@ def strength(gain: float | None) -> str:
     if gain is None:
         return NONE
     if gain <= SETTINGS.selection.first:
-        return "none"
+        return "faint" if gain > SETTINGS.selection.first_measured else "none"
     return next((word for word, most in STRENGTHS if gain <= most), "strong")
 
 

@@ -252,8 +252,10 @@ def _evidence_picture(summary: Summary) -> Picture | None:
     if not rows:
         return None
     said = "; ".join(f"{r.title}: {r.gain:.1f}" for r in rows)
+    settings = SETTINGS.selection
+    first = settings.first_measured if summary.noise is None else settings.first
     return chart(
-        lambda w: evidence(rows, SETTINGS.selection.first, w),
+        lambda w: evidence(rows, first, w),
         f"Log evidence gained. {said}.",
         rows=[("effect", "log_evidence_gain"), *((r.title, r.gain) for r in rows)],
     )
@@ -262,12 +264,14 @@ def _evidence_picture(summary: Summary) -> Picture | None:
 def _about_evidence(summary: Summary) -> str:
     """Return how causes are named, and what the fits left."""
     settings = SETTINGS.selection
-    further = settings.further if summary.markers is None else settings.further_measured
+    further, first = settings.further, settings.first
+    if summary.noise is None:
+        further, first = settings.further_measured, settings.first_measured
     said = (
         "Each promising effect was fitted together with the constants, in new simulations. The "
         "bars show its gain: how much better the data are then predicted (log evidence, in nats), "
         "less a price for each parameter. An effect is named as the cause if it gains more than "
-        f"{settings.first:g} nats over the nominal model, a further one if it adds more than "
+        f"{first:g} nats over the nominal model, a further one if it adds more than "
         f"{further:g}. Effects within {settings.tie:g} nats of the best cannot be told "
         "apart."
     )

@@ -101,7 +101,10 @@ DIAGNOSIS_TERMS = (
         "How much better a model predicts the data than the nominal one (increase in log "
         "evidence), less a price for each parameter that its fit adjusts.",
     ),
-    ("Evidence", "The gain in a word: none up to 10 nats, weak to 20, clear to 50, then strong."),
+    (
+        "Evidence",
+        "The gain in a word: none up to 5 nats, faint to 10, weak to 20, clear to 50, then strong.",
+    ),
     ("Seen from", "The size from which these data would have shown an effect."),
     (
         "Absorbed by constants",

@@ -17,6 +17,7 @@ from palpate.workers.diagnosis.noise.unmatched_points import matched
 from palpate.workers.diagnosis.problem.inverse_problem import (
     InverseProblem,
     Scan,
+    Unknowns,
     at_points_with_forces,
     unknowns,
 )
@@ -56,7 +57,7 @@ def calibrate(
         If the nominal model cannot be simulated.
     """
     free = unknowns(inverse.free, [])
-    first = fit(inverse, free, free.mean, [None] * len(inverse.scans), each=each)
+    first = _fit_from_rest(inverse, free, each)
     if first is None:
         raise InputError(
             "The nominal model could not be solved in the middle of the plausible intervals. "
@@ -81,6 +82,36 @@ def calibrate(
     if second is None:
         raise AssertionError("a fit that starts at the optimum of another fit must be simulable")
     return inverse, second
+
+
+def _fit_from_rest(inverse: InverseProblem, free: Unknowns, each: Each) -> SolvedFit | None:
+    """Return a fit from the middle of the intervals, or else from stiffer constants.
+
+    A body that is much too soft may snap into a shape from which no small step leads back: the fit
+    then ends farther from the scans than the body at rest.
+    """
+    rest = [None] * len(inverse.scans)
+    first = fit(inverse, free, free.mean, rest, each=each)
+    if first is not None:
+        fitted_mm, undeformed_mm = distances_mm(inverse, first)
+        if fitted_mm < undeformed_mm:
+            return first
+    stiffer = fit(inverse, free, (free.mean + free.upper) / 2, rest, each=each)
+    fits = [one for one in (first, stiffer) if one is not None]
+    return min(fits, key=lambda one: one.cost, default=None)
+
+
+def distances_mm(inverse: InverseProblem, at: Fit) -> tuple[float, float]:
+    """Return the root mean square distances from the scans to a fit and to the body at rest."""
+    rest = [
+        scan.compare(inverse.followed(scan).points, inverse.points)[0] for scan in inverse.scans
+    ]
+    fitted = [one.residual for one in at.predictions]
+
+    def rms(distances: list[FloatArray]) -> float:
+        return float(np.sqrt(np.mean(np.concatenate(distances)[inverse.is_place] ** 2)))
+
+    return rms(fitted), rms(rest)
 
 
 def _reduced(

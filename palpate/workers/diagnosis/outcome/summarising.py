@@ -10,6 +10,7 @@ from palpate.storage.values import FloatArray
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.fits.effect_screening import minimum_detectable
 from palpate.workers.diagnosis.fits.gauss_newton import Fit
+from palpate.workers.diagnosis.fits.nominal_calibration import distances_mm
 from palpate.workers.diagnosis.linearisation import LinearFit, Linearised, Registration
 from palpate.workers.diagnosis.outcome.diagnosis_summary import (
     ConstantEstimate,
@@ -33,7 +34,7 @@ from palpate.workers.diagnosis.outcome.gap_and_shrinkage import (
 )
 from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, InverseProblem
 from palpate.workers.diagnosis.problem.planned_acquisition import INTERFACES
-from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis
+from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis, thresholds
 from palpate.workers.mechanics.effects.effect import Effect, one_sided
 from palpate.workers.mechanics.model_parameters import KPA, Parameter, shown, shown_change
 
@@ -125,7 +126,7 @@ def _seen_from(diagnosis: Diagnosis, effect: Effect, number: int) -> tuple[float
     if effect.name in diagnosis.verdict.hidden:
         return None, ""
     sensitivity = analysis.sensitivity_by_name[effect.name]
-    strength = 2.0 * SETTINGS.selection.first
+    strength = 2.0 * thresholds(analysis.inverse).first
     size = float(minimum_detectable(analysis.linear, sensitivity, strength)[number])
     if not size < MOST_DEVIATIONS * effect.prior_sd[number]:
         return None, ""
@@ -200,9 +201,7 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
     inverse = analysis.inverse
     place, floor_mm = inverse.is_place, _floor_mm(inverse, analysis.linear)
     whole = gap(registered, place, floor_mm)
-    fitted_mm, undeformed_mm = _distances_mm(
-        inverse, analysis.nominal if best is None else best.fit
-    )
+    fitted_mm, undeformed_mm = distances_mm(inverse, analysis.nominal if best is None else best.fit)
     alone = GapSummary(
         _estimate(whole),
         whole.noise_mm,
@@ -226,19 +225,6 @@ def _gap_mm(diagnosis: Diagnosis, registered: LinearFit) -> GapSummary:
     found = _compared(comparison.shrinkage())
     inside = replace(alone, before=found.before, after=found.after, share=found.share)
     return _with_held_out(inside, diagnosis, comparison)
-
-
-def _distances_mm(inverse: InverseProblem, fit: Fit) -> tuple[float, float]:
-    """Return the distances from the scans to a fit and to the body at rest; see `GapSummary`."""
-    rest = [
-        scan.compare(inverse.followed(scan).points, inverse.points)[0] for scan in inverse.scans
-    ]
-    fitted = [one.residual for one in fit.predictions]
-
-    def rms(residuals: list[FloatArray]) -> float:
-        return float(np.sqrt(np.mean(np.concatenate(residuals)[inverse.is_place] ** 2)))
-
-    return rms(fitted), rms(rest)
 
 
 def _registered(diagnosis: Diagnosis) -> LinearFit:

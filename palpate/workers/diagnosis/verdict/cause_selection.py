@@ -104,6 +104,7 @@ def verdict(
     left_gain: float,
     hidden: Collection[str] = (),
     further: float = SETTINGS.selection.further,
+    first: float = SETTINGS.selection.first,
 ) -> Verdict:
     """Name the causes.
 
@@ -115,7 +116,7 @@ def verdict(
         Gain of a smooth field in addition to the effects that `selected` returns.
     hidden : collection of str
         Effects that the constants hide.
-    further : float
+    further, first : float
         See `selected`.
 
     Raises
@@ -126,7 +127,7 @@ def verdict(
     for effects in gains:
         if not 0 < len(set(effects)) == len(effects) <= MOST_EFFECTS:
             raise InputError(f"A fit has one to {MOST_EFFECTS} different effects, found {effects}.")
-    names = selected(gains, hidden, further)
+    names = selected(gains, hidden, further, first)
     singles = {who: gain for (who, *more), gain in gains.items() if not more and who not in hidden}
     best = max(singles.values(), default=0.0)
     order = sorted(singles, key=lambda who: (-singles[who], who))

@@ -14,6 +14,7 @@ decides who computes a fit and whether a stored one is used.
 
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from palpate.workers.diagnosis.diagnosis_settings import SETTINGS
 from palpate.workers.diagnosis.fits.effect_screening import NominalAnalysis, screen
 from palpate.workers.diagnosis.fits.gauss_newton import DataPart
 from palpate.workers.diagnosis.linearisation import factored
+from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
 from palpate.workers.diagnosis.verdict.cause_selection import (
     MOST_EFFECTS,
     NONE_OF_THESE,
@@ -85,7 +87,7 @@ class Diagnosis:
             names: one.fit.log_evidence(inverse, part=part) - nominal
             for names, one in self.joint_fits.items()
         }
-        return selected(gains, analysis.hidden, _further(analysis))
+        return selected(gains, analysis.hidden, *thresholds(analysis.inverse))
 
     def gain(self, names: tuple[str, ...]) -> float:
         """Return the gain in log evidence of a fit over the nominal model, in nats."""
@@ -163,7 +165,7 @@ def extensions(analysis: NominalAnalysis, known: Catalogue, fitted: JointFit) ->
     excluded = {*fitted.names, *analysis.hidden}
     others = [one for one in analysis.sensitivities if one.name not in excluded]
     at = fitted.fit.linearised(analysis.inverse).holding(fitted.fit.at_bound != 0)
-    least = settings.second_share * _further(analysis)
+    least = settings.second_share * thresholds(analysis.inverse).further
     loud = [
         result
         for result in screen(at, others)
@@ -185,7 +187,7 @@ def _extended(
     """Request extensions of the selected effects as long as one of them is selected."""
     before: tuple[str, ...] = ()
     while True:
-        names = selected(gains_of(analysis, fits), analysis.hidden, _further(analysis))
+        names = selected(gains_of(analysis, fits), analysis.hidden, *thresholds(analysis.inverse))
         if names == before or len(names) == MOST_EFFECTS:
             return fits
         chosen = next(fit for who, fit in fits.items() if set(who) == set(names))
@@ -195,16 +197,25 @@ def _extended(
 
 def _verdict(analysis: NominalAnalysis, fits: Fits) -> Verdict:
     gains = gains_of(analysis, fits)
-    names = selected(gains, analysis.hidden, _further(analysis))
+    names = selected(gains, analysis.hidden, *thresholds(analysis.inverse))
     chosen = next((fit.fit for who, fit in fits.items() if names and set(who) == set(names)), None)
     left = analysis.field_gain(analysis.nominal if chosen is None else chosen)
-    return verdict(gains, left, analysis.hidden, _further(analysis))
+    return verdict(gains, left, analysis.hidden, *thresholds(analysis.inverse))
 
 
-def _further(analysis: NominalAnalysis) -> float:
-    """Return the gain of a further cause; measured points have no error common to all of them."""
+class Thresholds(NamedTuple):
+    """Least gains of a further cause and of the first one, in nats."""
+
+    further: float
+    first: float
+
+
+def thresholds(inverse: InverseProblem) -> Thresholds:
+    """Return the thresholds; where the noise is known, no error is common to all points."""
     settings = SETTINGS.selection
-    return settings.further if analysis.inverse.is_segmented else settings.further_measured
+    if inverse.is_segmented:
+        return Thresholds(settings.further, settings.first)
+    return Thresholds(settings.further_measured, settings.first_measured)
 
 
 def _fitted(

@@ -118,7 +118,8 @@ def test_worst_place_of_a_specimen_is_a_state() -> None:
     [
         (None, "–"),
         (-3.0, "none"),
-        (10.0, "none"),
+        (5.0, "none"),
+        (10.0, "faint"),
         (10.1, "weak"),
         (20.0, "weak"),
         (20.1, "clear"),
@@ -131,7 +132,8 @@ def test_words_for_evidence_change_at_their_thresholds(gain: float | None, word:
 
 
 def test_glossary_states_the_thresholds_of_the_words() -> None:
-    ends = [SETTINGS.selection.first, *(most for _, most in STRENGTHS)]
+    settings = SETTINGS.selection
+    ends = [settings.first_measured, settings.first, *(most for _, most in STRENGTHS)]
     numbers = [float(n) for n in re.findall(r"\d+", dict(DIAGNOSIS_TERMS)["Evidence"])]
     assert numbers == ends
 

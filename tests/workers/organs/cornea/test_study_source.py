@@ -10,11 +10,13 @@ import pytest
 from palpate.storage.errors import InputError
 from palpate.storage.json_digests import to_plain
 from palpate.workers.common_keys import validated
+from palpate.workers.diagnosis.fits.nominal_calibration import calibrate, distances_mm
 from palpate.workers.diagnosis.outcome.diagnosis_source import FinishedStudy
 from palpate.workers.organs.cornea.cornea_keys import CorneaCase
 from palpate.workers.organs.cornea.cornea_organ import ORGAN
 from palpate.workers.organs.cornea.cornea_study_source import SEGMENTED, CorneaStudySource
 from palpate.workers.organs.source_registry import source_of, source_of_study
+from tests.workers.organs.cornea import blind_eyes
 from tests.workers.organs.cornea.blind_eyes import diagnosed
 
 X1 = {"mu1_pa": 11000.0, "alpha1": 30.0, "mu2_pa": 35000.0, "alpha2": 80.0}
@@ -96,3 +98,10 @@ def test_names_a_hidden_effect_of_another_form(hidden: dict[str, float], name: s
     source.study = replace(source.study, noise=SEGMENTED)
     reached = diagnosed(source).verdict
     assert reached.primary == (() if name is None else (name,))
+
+
+def test_a_middle_that_collapses_does_not_trap_the_fit():
+    """From the middle of the intervals, this eye snaps inwards and no small step leads back."""
+    inverse = blind_eyes.source_of(1, 20).inverse_problem(0, 0.0)
+    fitted_mm, _ = distances_mm(inverse, calibrate(inverse)[1])
+    assert fitted_mm < 1.5 * SEGMENTED.sd_mm

@@ -10,7 +10,7 @@ import re
 import reprlib
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from functools import reduce
+from functools import cached_property, reduce
 from operator import getitem
 from typing import Annotated, Any, ClassVar, Literal, LiteralString, Self, TypeVar
 from unicodedata import normalize
@@ -105,7 +105,10 @@ def _misread(given: Any, value: Any, path: tuple[int | str, ...] = ()) -> Iterat
 
 
 class FrozenModel(BaseModel):
-    """Frozen record whose mappings and lists cannot be changed either."""
+    """Frozen record whose mappings and lists cannot be changed either.
+
+    What follows from its values is computed once where that is slow, as a `cached_property`.
+    """
 
     model_config = ConfigDict(frozen=True)
 
@@ -117,7 +120,10 @@ class FrozenModel(BaseModel):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy with other values, which are not validated."""
         changed = None if update is None else read_only(dict(update))
-        return super().model_copy(update=changed, deep=deep)
+        copied = super().model_copy(update=changed, deep=deep)
+        for derived in vars(copied).keys() - type(self).model_fields.keys():
+            del vars(copied)[derived]
+        return copied
 
 
 class Door(FrozenModel):
@@ -219,6 +225,11 @@ class CaseSpec(Door):
     def vocabulary(self) -> Vocabulary:
         """Return all parameters that `complete` sets."""
         return self.parameters
+
+    @cached_property
+    def simulated(self) -> Mapping[str, Any]:
+        """What a simulation depends on except body, mesh and constants, as plain values."""
+        return read_only(self.model_dump(mode="json", exclude={"reference", "mesh", "constants"}))
 
     @property
     def plugged_modules(self) -> Sequence[str]:

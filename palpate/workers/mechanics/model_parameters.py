@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cached_property
 from typing import Literal, TypeVar
 
 from palpate.storage.errors import InputError
@@ -405,7 +406,7 @@ class Vocabulary:
     @property
     def door_names(self) -> tuple[str, ...]:
         """Return the interface names, which include units, in order."""
-        return tuple(parameter.door_name for parameter in self)
+        return tuple(self._by_door_name)
 
     def at_door(self, door_name: str) -> Parameter:
         """Return the parameter with this name in a study file.
@@ -415,10 +416,14 @@ class Vocabulary:
         InputError
             If there is none; close names are suggested.
         """
-        for parameter in self:
-            if parameter.door_name == door_name:
-                return parameter
-        raise InputError(unknown_name("parameter", door_name, self.door_names))
+        try:
+            return self._by_door_name[door_name]
+        except KeyError:
+            raise InputError(unknown_name("parameter", door_name, self.door_names)) from None
+
+    @cached_property
+    def _by_door_name(self) -> dict[str, Parameter]:
+        return {parameter.door_name: parameter for parameter in self}
 
     def extended_by(self, parameters: Iterable[Parameter]) -> "Vocabulary":
         """Return this vocabulary with further parameters appended."""

@@ -5,6 +5,7 @@ law.
 """
 
 from collections.abc import Collection, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -365,12 +366,12 @@ class BreastCase(CaseSpec):
     load: LoadSpec = LoadSpec(force_n=100.0)
     constants: DoorConstants = Field(default_factory=dict, description="a value that is held")
 
-    @property
+    @cached_property
     def parameters(self) -> Vocabulary:
         """See `CaseSpec.parameters`."""
         return self.vocabulary.without(n for n in self.vocabulary.names if self._unused(n))
 
-    @property
+    @cached_property
     def vocabulary(self) -> Vocabulary:
         """See `CaseSpec.vocabulary`."""
         return BREAST_MODEL.extended_by(self.model.law.constants)

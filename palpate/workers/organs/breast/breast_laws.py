@@ -9,6 +9,7 @@ the isochoric part, ``I4bar``, must be specified.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
@@ -110,7 +111,7 @@ class TissueLaws(Door):
         """The modules of the laws, for digests."""
         return tuple(sorted({plugin("laws", name).module for name in self.by_tissue.values()}))
 
-    @property
+    @cached_property
     def constants(self) -> Vocabulary:
         """The shape constants of these laws."""
         return Vocabulary(

@@ -6,6 +6,7 @@ the body and its regions, holds, loads and loaded states, and the materials.
 """
 
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
@@ -472,7 +473,7 @@ class MaterialSpec(Door):
     density_kg_per_m3: Positive = Field(description="density in kg/m3, for its weight")
     constants: dict[str, Finite | tuple[Positive, Positive]] = Field(default_factory=dict)
 
-    @property
+    @cached_property
     def shape(self) -> Vocabulary:
         """The shape constants of the law."""
         return Vocabulary(law_named(self.law).constants())

@@ -1,5 +1,6 @@
 """The law of a breast's tissue: valid keys, and recovery of its shape."""
 
+import pickle
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,23 @@ def test_one_name_applies_to_all_tissues() -> None:
     assert isinstance(laws[Tissue.MUSCLE], Yeoh)
     assert laws[Tissue.GLANDULAR].c2_mpa == 0
     assert case == case_of({"fat": "yeoh", "glandular": "yeoh"}, yeoh_c2_fat=1.5, E_fat_kpa=8)
+
+
+def test_a_vocabulary_is_made_once_and_belongs_to_one_case() -> None:
+    case, plain = case_of("yeoh"), case_of("yeoh")
+    assert case.parameters is case.parameters
+    assert "yeoh_c2_fat" in case.parameters
+    assert "E_skin" not in case.parameters
+    model = validated(BreastCase, {"reference": {"phantom": {}}, "model": {"skin": "membrane"}})
+    assert "E_skin" in model.parameters
+    for deep in (False, True):
+        changed = case.model_copy(update={"model": model.model}, deep=deep)
+        assert changed.parameters.names == model.parameters.names
+        assert changed.simulated["model"] == model.simulated["model"]
+    assert case == plain == pickle.loads(pickle.dumps(case))
+    assert hash(case.model) == hash(plain.model)
+    assert case.model_dump() == plain.model_dump()
+    assert repr(case) == repr(plain)
 
 
 def test_unnamed_tissues_stay_neo_hookean() -> None:

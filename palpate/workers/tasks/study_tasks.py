@@ -17,12 +17,13 @@ these records have internal names and units, ``{"E_fat": 0.01}``.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from palpate.storage.errors import InputError, StoreError
-from palpate.storage.json_digests import digest, to_plain
+from palpate.storage.json_digests import digest, dumps, loads, to_plain
 from palpate.storage.store import Store, load_evaluation, open_store, save_evaluation
 from palpate.storage.stored_arrays import load_field, save_field
 from palpate.storage.values import (
@@ -35,7 +36,7 @@ from palpate.storage.values import (
     Scores,
     SpecJson,
 )
-from palpate.workers.common_keys import CaseSpec, ScoreSpec, validated
+from palpate.workers.common_keys import CaseSpec, Door, ScoreSpec, validated
 from palpate.workers.mechanics.effects.effect import acting_plugins, without_idle_plugins
 from palpate.workers.organs.organ_plugins import (
     DEFAULT,
@@ -77,7 +78,19 @@ def case_of(case: SpecJson) -> CaseSpec:
     InputError
         If it is invalid.
     """
-    return validated(spec_of(case).case, case, "The case")
+    spec: CaseSpec = _validated(spec_of(case).case, dumps(case), "The case")
+    return spec
+
+
+def score_of(case: SpecJson, score: SpecJson | None) -> ScoreSpec:
+    """Validate a score with the model of a case's organ; see `case_of`."""
+    how: ScoreSpec = _validated(spec_of(case).score, dumps(score or {}), "The score")
+    return how
+
+
+@lru_cache(maxsize=64)  # the candidates of a study have the same case and score
+def _validated(model: type[Door], text: str, where: str) -> Any:
+    return validated(model, loads(text), where)
 
 
 def prepare_case(case: SpecJson, store: str) -> PreparedBody:
@@ -212,29 +225,29 @@ def evaluate(request: EvaluationRequest) -> EvaluationResult:
     StoreError
         If the driver runs another version, or the store lacks an item named in the request.
     """
-    spec, score = case_of(request["case"]), _score_of(request)
-    bodies = BodyStore(open_store(request["store"]), case_organ(request["case"]))
+    organ, spec = case_organ(request["case"]), case_of(request["case"])
+    score = score_of(request["case"], request.get("score"))
+    values, free = spec.complete(request["constants"]), request.get("free") or []
     name = _checked_digest(request)
+    bodies = BodyStore(open_store(request["store"]), organ)
     done = load_evaluation(bodies.store, name)
     if done is not None:
         if request.get("keep_volume"):
             keep_volume(request)
         done["reused"] = True
         return done
-    values = spec.complete(request["constants"])
     watch = Watch()
-    free = request.get("free") or []
     with watch.stage("load"):
         setup = bodies.setup(
             spec, _digests(request["prepared"]), request["target"], score, observed=bool(free)
         )
     evaluation = pipeline.evaluate(setup, values, watch, free)
-    if request.get("keep_volume") and evaluation.deformed is not None:
-        _save_body(bodies, name, evaluation.deformed, values)
     result = simulation_result(name, values, evaluation.solution, watch)
     result["score"] = evaluation.scores
     if free:
         result["fit"] = evaluation.fit
+    if request.get("keep_volume") and evaluation.deformed is not None:
+        _save_body(bodies, name, evaluation.deformed, values)
     result = save_simulation(bodies.store, result, evaluation.solution)
     result["reused"] = False
     return result
@@ -249,8 +262,7 @@ def evaluation_digest(
     free: Sequence[FreeParameter] = (),
 ) -> str:
     """Return the digest of everything that an evaluation depends on, the code included."""
-    spec = case_of(case)
-    how = validated(spec_of(case).score, score or {}, "The score")
+    spec, how = case_of(case), score_of(case, score)
     parts = _dependencies(spec, prepared, spec.complete(constants), how)
     more = [list(free)] if free else []
     return digest("evaluation", *parts, target, how.model_dump(mode="json"), *more)
@@ -295,8 +307,8 @@ def score_bodies(
 ) -> Mapping[str, Scores]:
     """Compare two stored bodies part by part; see `Organ.scores_by_part`."""
     organ = case_organ(case)
-    how = validated(spec_of(case).score, score or {}, "The score")
     bodies = BodyStore(open_store(store), organ)
+    how = score_of(case, score)
     return organ.scores_by_part(bodies.body(target), bodies.body(candidate), how)
 
 
@@ -307,21 +319,16 @@ def _dependencies(
     score: ScoreSpec | None = None,
 ) -> list[Any]:
     """Return everything a simulation depends on: bodies by content, the case, constants, code."""
-    settings = spec.model_dump(mode="json", exclude={"reference", "mesh", "constants"})
     others = [*(acting.module for acting in acting_plugins(values)), *spec.plugged_modules]
     if score is not None:
         others.append(plugin("scores", score.objective).module)
     code = code_version(__name__, *organ_modules(spec.organ), *others)
-    return [prepared["volume"], prepared["mesh"], settings, without_idle_plugins(values), code]
+    acting = without_idle_plugins(values)
+    return [prepared["volume"], prepared["mesh"], spec.simulated, acting, code]
 
 
 def _digests(prepared: PreparedBody) -> dict[str, str]:
     return {"volume": prepared["volume"], "mesh": prepared["mesh"]}
-
-
-def _score_of(request: EvaluationRequest) -> ScoreSpec:
-    spec = spec_of(request["case"])
-    return validated(spec.score, request.get("score") or {}, "The score")
 
 
 def _checked_digest(request: EvaluationRequest) -> str:
@@ -385,7 +392,7 @@ def find(request: EvaluationRequest) -> dict[str, Any]:
     module = findings_of(spec.organ)
     if module is None:
         return {}
-    score = validated(spec_of(request["case"]).score, request.get("score") or {}, "The score")
+    score = score_of(request["case"], request.get("score"))
     body, mesh = request["prepared"]["volume"], request["prepared"]["mesh"]
     bodies = BodyStore(open_store(request["store"]), organ)
     values = spec.complete(request["constants"])

@@ -271,8 +271,7 @@ class BodyStore:
 
     def landmarks(self, name: str, case: CaseSpec) -> Any:
         """Return the landmarks of a stored body that a load needs."""
-        load = case.model_dump_json(exclude={"reference", "mesh", "constants"})
-        what = f"landmarks {load}"
+        what = f"landmarks {digest(case.simulated)}"
         return self._cached(what, name, lambda: self.organ.landmarks(self.body(name), case))
 
     def scorer(self, target: str, spec: ScoreSpec) -> Any:
@@ -336,9 +335,9 @@ class BodyStore:
             case=case,
             body=self.body(body),
             mesh=self.mesh(mesh),
+            target=None if target is None else self.body(target),  # now everything is read
             model=self.model(mesh),
             landmarks=self.landmarks(body, case),
-            target=None if target is None else self.body(target),
             target_landmarks=self.landmarks(target, case) if target and imaged else None,
             scorer=None if target is None or score is None else self.scorer(target, score),
             observation=self.observation(body, mesh, target) if target and observed else None,

@@ -152,6 +152,11 @@ def test_digest_depends_on_everything_that_changes_the_result(study):
     assert name() == name(case=CASE | {"organ": "breast"}, score={"labels": ["glandular"]})
 
 
+def test_candidates_share_one_validated_case(study):
+    assert tasks.case_of(study.request()["case"]) is tasks.case_of(json.loads(json.dumps(CASE)))
+    assert tasks.case_of(CASE | {"load": {"force_n": 61}}).load.force_n == 61
+
+
 def test_constants_count_in_case_and_request(study):
     by_case = tasks.evaluation_digest(
         CASE | {"constants": {"E_fat_kpa": 14}}, study.prepared, study.target, {}

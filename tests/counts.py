@@ -1,15 +1,21 @@
 """Figures about the structure of `palpate`: ``make counts``.
 
-CONTRIBUTING.md says what they should be.
+CONTRIBUTING.md says what they should be. With ``--walk`` they are those of the code that one
+evaluation of a study runs through, from the task on.
 """
 
 import ast
 import io
+import sys
+import tempfile
 import tokenize
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 ROOT = Path(__file__).parents[1]
 SMALL = 30
@@ -95,6 +101,76 @@ def measured(package: Path = ROOT / "palpate") -> list[Module]:
     return [read(path, known) for path in paths]
 
 
+Call = tuple[str, str, str]
+"""The file of a caller, the file that it calls, below the package, and the called function."""
+
+CASE = {"reference": {"phantom": {"spacing_mm": 2.0}}, "mesh": {"nodes": 850}}
+TARGET = {"constants": {"E_fat_kpa": 8.0}}
+# These files of the storage neither read nor write.
+IN_MEMORY = {f"storage/{name}.py" for name in ("json_digests", "values", "errors", "read_only")}
+
+
+def walk() -> list[Call]:
+    """Return the calls from file to file in one evaluation of a study, in order.
+
+    It is the second one in this process, so nothing is imported; what it needs from the store is
+    read again. A call through another package, such as a validator, counts as a call by the last
+    file of Palpate before it.
+    """
+    from palpate.workers.resources import CACHE
+    from palpate.workers.tasks.study_tasks import evaluate, make_target, prepare_case
+
+    package = f"{ROOT / 'palpate'}/"
+    calls: list[Call] = []
+
+    def file_of(frame: FrameType | None) -> str:
+        while frame is not None and not frame.f_code.co_filename.startswith(package):
+            frame = frame.f_back
+        return "" if frame is None else frame.f_code.co_filename.removeprefix(package)
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call" and frame.f_code.co_filename.startswith(package):
+            by, to = file_of(frame.f_back), file_of(frame)
+            if by and by != to:
+                calls.append((by, to, frame.f_code.co_name))
+
+    with tempfile.TemporaryDirectory() as store:
+        prepared = prepare_case(CASE, store)
+        target = make_target(CASE, TARGET, store)["target"]
+        request: Any = {"store": store, "case": CASE, "prepared": prepared, "target": target}
+        evaluate(request | {"constants": {"E_fat": 0.010}})
+        CACHE.clear()
+        sys.setprofile(note)
+        evaluate(request | {"constants": {"E_fat": 0.012}})
+        sys.setprofile(None)
+    return calls
+
+
+def crossings(calls: list[Call]) -> int:
+    """Return how many times tasks turn to the store, with other work in between.
+
+    To make a body or a mesh of the arrays that were read is part of reading.
+    """
+    tasks = ("workers/tasks/", "workers/resources.py")
+    stored = [
+        to.startswith("storage/")
+        for by, to, name in calls
+        if by.startswith(tasks) and not (to.startswith(tasks) or to in IN_MEMORY)
+        if not name.endswith("_from_arrays")
+    ]
+    return sum(is_stored for is_stored, _ in groupby(stored))
+
+
+def print_walk() -> None:
+    """Print the figures of one evaluation."""
+    calls = walk()
+    pairs = {(by, to) for by, to, _ in calls}
+    mutual = {frozenset(pair) for pair in pairs if pair[::-1] in pairs}
+    print(f"files entered                  {len({file for pair in pairs for file in pair})}")
+    print(f"pairs that call each other     {len(mutual)} of {len({frozenset(p) for p in pairs})}")
+    print(f"turns of tasks to the store    {crossings(calls)}")
+
+
 def main() -> None:
     """Print the figures."""
     modules = measured()
@@ -116,4 +192,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    print_walk() if "--walk" in sys.argv else main()

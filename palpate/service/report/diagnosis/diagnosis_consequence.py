@@ -62,7 +62,7 @@ def next_step(summary: Summary, command: str) -> Markup:
         best = summary.next_acquisitions[0]
         pairs = [Markup("{} from {}").format(*map(spoken, pair)) for pair in best.separates]
         to = f", to distinguish {listed(pairs)}" if pairs else ""
-        smaller = f": {best.minimum_ratio:.2f} times as large effects would show"
+        smaller = f": effects {best.minimum_ratio:.2f} times as large would show"
         verb = "Draw" if best.name == REDRAWN else "Measure"
         return Markup("{} {}{}.").format(verb, best.name, to or smaller)
     if summary.verdict == "cannot-be-told-apart" and summary.markers is None:

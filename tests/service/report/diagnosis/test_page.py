@@ -182,7 +182,7 @@ def test_a_second_segmentation_is_drawn_not_measured() -> None:
     option = {"name": REDRAWN, "separates": [], "reveals": [], "minimum_ratio": 0.8}
     text = Page(render_diagnosis(found(summary(next_acquisitions=[option])))).text
     assert (
-        "Draw a second segmentation of every scan: 0.80 times as large effects would show." in text
+        "Draw a second segmentation of every scan: effects 0.80 times as large would show." in text
     )
 
 
@@ -190,7 +190,7 @@ def test_a_second_segmentation_is_drawn_not_measured() -> None:
     ("separates", "words"),
     [
         ([["plate_tilt", "fibre_fan"]], "Measure 9 N, to distinguish plate tilt from fibre fan."),
-        ([], "Measure 9 N: 0.80 times as large effects would show."),
+        ([], "Measure 9 N: effects 0.80 times as large would show."),
     ],
 )
 def test_next_measurement_says_what_it_decides(separates: list[list[str]], words: str) -> None:

@@ -24,7 +24,8 @@ from palpate.workers.mechanics.fem.boundary_value_problem import (
 from palpate.workers.mechanics.fem.loads_and_regions import nodes_in
 from palpate.workers.mechanics.materials.elastic_law import Law, PlaneStress, plane_stress
 from palpate.workers.mechanics.materials.polynomial_laws import NeoHookean, Yeoh
-from palpate.workers.mechanics.sheet_mesh import INTEGRATION_POINTS, SheetModel, shapes
+from palpate.workers.mechanics.sheet_mesh import INTEGRATION_POINTS, SheetModel
+from palpate.workers.mechanics.triangles import shapes
 
 # [i, j, k] is the sign of the permutation: (a x b)_i = CROSS_ijk a_j b_k.
 CROSS_PRODUCT = np.zeros((3, 3, 3))

@@ -1,4 +1,4 @@
-"""Meshes of thin sheets: 6-node triangles inside an outline, shape functions, interpolation.
+"""Meshes of thin sheets: 6-node triangles inside an outline, and interpolation on them.
 
 A sheet's mesh has edges along its outline and along the borders of loaded regions.
 """
@@ -16,11 +16,10 @@ from scipy.spatial import Delaunay
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, IntArray
 from palpate.workers.mechanics.fem.boundary_value_problem import Frame
+from palpate.workers.mechanics.triangles import TRIANGLE_EDGES, shape_slopes, shapes
 
 # Barycentric coordinates of the integration points, exact for polynomials of degree 2.
 INTEGRATION_POINTS = np.full((3, 3), 1 / 6) + np.eye(3) / 2
-# Corners at the ends of the edges, in the order of their midside nodes 3, 4 and 5.
-TRIANGLE_EDGES = ((0, 1), (1, 2), (2, 0))
 # Weights of corners and midside nodes for an even load on a triangle, and on an edge.
 EVEN_AREA, EVEN_EDGE = (0.0, 1 / 3), (1 / 6, 2 / 3)
 MOST_PAIRS = 2_000_000
@@ -154,23 +153,6 @@ class SheetModel:
         columns = self.triangles[triangle].ravel()
         weights = shapes(barycentric).ravel()
         return csr_matrix((weights, (rows, columns)), (len(points), len(self.nodes)))
-
-
-def shapes(barycentric: FloatArray) -> FloatArray:
-    """Return the six shape functions at points, (k, 3) to (k, 6)."""
-    corners = barycentric * (2 * barycentric - 1)
-    middles = [4 * barycentric[:, a] * barycentric[:, b] for a, b in TRIANGLE_EDGES]
-    return np.column_stack([corners, *middles])
-
-
-def shape_slopes(barycentric: FloatArray) -> FloatArray:
-    """Return derivatives of the shape functions in the barycentric coordinates, (k, 6, 3)."""
-    found = np.zeros((len(barycentric), 6, 3))
-    for k in range(3):
-        found[:, k, k] = 4 * barycentric[:, k] - 1
-    for k, (a, b) in enumerate(TRIANGLE_EDGES):
-        found[:, 3 + k, a], found[:, 3 + k, b] = 4 * barycentric[:, b], 4 * barycentric[:, a]
-    return found
 
 
 def _add_even(

@@ -16,6 +16,7 @@ import numpy as np
 from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, IntArray
 from palpate.workers.mechanics.fem.simd_vectors import LANES
+from palpate.workers.mechanics.triangles import shape_functions
 from palpate.workers.organs.cornea.cornea_keys import TERMS, CorneaCase
 from palpate.workers.organs.cornea.corneal_model import (
     QUADRATURE,
@@ -46,19 +47,6 @@ class PointGeometry(NamedTuple):
     gradients: FloatArray
     hoop: FloatArray
     weights: FloatArray
-
-
-def shape_functions(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the shape functions, (q, 6), and their slopes, (q, 6, 2), at points (q, 2)."""
-    x, y = points[:, 0], points[:, 1]
-    z = 1 - x - y
-    zero = np.zeros_like(x)
-    N = np.stack(
-        [z * (2 * z - 1), x * (2 * x - 1), y * (2 * y - 1), 4 * z * x, 4 * x * y, 4 * y * z], 1
-    )
-    along_x = np.stack([1 - 4 * z, 4 * x - 1, zero, 4 * (z - x), 4 * y, -4 * y], 1)
-    along_y = np.stack([1 - 4 * z, zero, 4 * y - 1, -4 * x, 4 * x, 4 * (z - y)], 1)
-    return N, np.stack([along_x, along_y], 2)
 
 
 def point_geometry(

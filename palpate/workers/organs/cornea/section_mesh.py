@@ -10,6 +10,7 @@ import numpy as np
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FloatArray, IntArray
+from palpate.workers.mechanics.triangles import shape_functions
 from palpate.workers.organs.cornea.section_measures import check_section
 from palpate.workers.organs.cornea.section_outline import Section, arclength_mm, points_at
 
@@ -78,19 +79,10 @@ def t6_quality(mesh: T6Mesh) -> T6Quality:
 
 def _jacobian_coefficients(mesh: T6Mesh) -> FloatArray:
     """Return the Bernstein coefficients of the Jacobian determinants, shape (m, 6)."""
-    xi = np.array([0.0, 1.0, 0.0, 0.5, 0.5, 0.0])
-    eta = np.array([0.0, 0.0, 1.0, 0.0, 0.5, 0.5])
-    rest = 1 - xi - eta
-    zero = np.zeros(6)
-    along_xi = np.stack(
-        [1 - 4 * rest, 4 * xi - 1, zero, 4 * (rest - xi), 4 * eta, -4 * eta], axis=1
-    )
-    along_eta = np.stack(
-        [1 - 4 * rest, zero, 4 * eta - 1, -4 * xi, 4 * xi, 4 * (rest - eta)], axis=1
-    )
+    at_nodes = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0], [0.5, 0.5], [0, 0.5]])
+    _, slopes = shape_functions(at_nodes)
     nodes = mesh.nodes_mm[mesh.triangles]
-    a = np.einsum("qn,eni->eqi", along_xi, nodes)
-    b = np.einsum("qn,eni->eqi", along_eta, nodes)
+    a, b = (np.einsum("qn,eni->eqi", slopes[:, :, k], nodes) for k in range(2))
     values = a[:, :, 0] * b[:, :, 1] - a[:, :, 1] * b[:, :, 0]
     corner, middle = values[:, :3], values[:, 3:]
     edges = 2 * middle - 0.5 * (corner + np.roll(corner, -1, axis=1))

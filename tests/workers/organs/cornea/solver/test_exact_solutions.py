@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from palpate.workers.mechanics.triangles import shape_functions
 from palpate.workers.organs.cornea.cornea_equations import Stage, follow, system_of
-from palpate.workers.organs.cornea.cornea_problem import prepare, shape_functions
+from palpate.workers.organs.cornea.cornea_problem import prepare
 from palpate.workers.organs.cornea.corneal_model import (
     QUADRATURE,
     CorneaConstants,

@@ -12,7 +12,6 @@ import meshio
 import numpy as np
 from numpy.typing import NDArray
 
-from palpate.storage.errors import InputError
 from palpate.storage.read_only import ReadOnly
 from palpate.storage.values import FloatArray
 from palpate.workers.mechanics.fem.boundary_value_problem import Change
@@ -99,25 +98,6 @@ class LoadedModel(Generic[R]):
         )
 
 
-def either_side(parameter: Parameter, value: float, step: float) -> tuple[float, float]:
-    """Return admissible values above and below a value, or the value itself at a bound.
-
-    Examples
-    --------
-    >>> from palpate.workers.mechanics.model_parameters import BREAST
-    >>> either_side(BREAST["E_fat"], 0.01, 0.005)
-    (0.015, 0.005)
-    """
-    return _admissible(parameter, value + step, value), _admissible(parameter, value - step, value)
-
-
-def _admissible(parameter: Parameter, wanted: float, otherwise: float) -> float:
-    try:
-        return parameter.check(wanted)
-    except InputError:
-        return otherwise
-
-
 @dataclass(frozen=True, eq=False)
 class SimulationRecord(ReadOnly):
     """What every simulation of a mesh with n nodes has; all arrays are read-only.
@@ -172,7 +152,7 @@ class SimulationRecord(ReadOnly):
         """
         parameter = self._loaded.vocabulary.at_door(name)
         value = self._values[parameter.name]
-        ahead, behind = either_side(parameter, value, self._step(parameter, value))
+        ahead, behind = parameter.either_side(value, self._step(parameter, value))
         plus, minus = (
             self._problem if side == value else self._problem_with({parameter.name: side})
             for side in (ahead, behind)

@@ -297,6 +297,23 @@ class Parameter:
         """Return `limit` in the unit of files."""
         return None if self.limit is None else self.unit.to_door(self.limit)
 
+    def admits(self, value: float) -> bool:
+        """Test whether a value is admissible."""
+        low, high = self.admissible
+        above = value > low if self.open_lower else value >= low
+        return math.isfinite(value) and above and value < high
+
+    def either_side(self, value: float, step: float) -> tuple[float, float]:
+        """Return the values a step above and below; a value itself for an inadmissible side.
+
+        Examples
+        --------
+        >>> BREAST["E_fat"].either_side(0.01, 0.005), BREAST["eta_fat"].either_side(0.0, 0.005)
+        ((0.015, 0.005), (0.005, 0.0))
+        """
+        above, below = (v if self.admits(v) else value for v in (value + step, value - step))
+        return above, below
+
     def check(self, value: float) -> float:
         """Return `value` as a float if it is admissible.
 
@@ -305,9 +322,7 @@ class Parameter:
         InputError
             If it is not.
         """
-        low, high = self.admissible
-        above = value > low if self.open_lower else value >= low
-        if not (math.isfinite(value) and above and value < high):
+        if not self.admits(value):
             raise InputError(
                 f"{self.door_name} must be {self._range_text()}, "
                 f"found {self.unit.to_door(value):g}."

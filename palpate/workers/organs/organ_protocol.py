@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar, cast
 
+import numpy as np
 from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
@@ -215,6 +216,22 @@ class Fitted(Protocol):
 def logarithmic(parameter: FreeParameter) -> bool:
     """Check whether a parameter is fitted as its logarithm, because it cannot be zero."""
     return parameter["lower"] > 0
+
+
+def either_side(
+    parameter: FreeParameter, value: float, step: float
+) -> tuple[float, float | None, float]:
+    """Return the values on either side of a value, and their difference as it is fitted.
+
+    The step is one of the logarithm of a parameter that is fitted as one, else relative to the
+    interval. At a lower bound of zero there is only one side.
+    """
+    if logarithmic(parameter):
+        return value * float(np.exp(step)), value * float(np.exp(-step)), 2 * step
+    h = step * (parameter["upper"] - parameter["lower"])
+    if parameter["lower"] == 0 and value < h:
+        return value + h, None, h
+    return value + h, value - h, 2 * h
 
 
 class Organ(ABC, Generic[Body, Mesh, Model]):

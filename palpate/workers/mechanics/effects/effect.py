@@ -366,10 +366,9 @@ class Effect:
     def _change(
         self, problem: Problem, frame: Frame, centre: Values, parameter: Parameter, step: float
     ) -> Change:
-        low, middle, high = (centre[parameter.name] + k * step for k in (-1, 0, 1))
-        low, high = (value if _admissible(parameter, value) else middle for value in (low, high))
-        minus, plus = (
-            self.apply(problem, {**centre, parameter.name: value}, frame) for value in (low, high)
+        high, low = parameter.either_side(centre[parameter.name], step)
+        plus, minus = (
+            self.apply(problem, {**centre, parameter.name: value}, frame) for value in (high, low)
         )
         return Change(plus, minus, high - low)
 
@@ -429,14 +428,6 @@ def from_zero(
 
 def _read_renamed(names: Mapping[str, str], given: Mapping[str, Any]) -> dict[str, float]:
     return {own: float(given[other]) for own, other in names.items()}
-
-
-def _admissible(parameter: Parameter, value: float) -> bool:
-    try:
-        parameter.check(value)
-    except InputError:
-        return False
-    return True
 
 
 def with_device(problem: Problem, change: Callable[[Device], Device]) -> Problem:

@@ -47,7 +47,7 @@ from palpate.workers.organs.breast.scan_facts import (
     study_noise,
 )
 from palpate.workers.organs.normal_equations import normal_equations
-from palpate.workers.organs.organ_protocol import Residuals, logarithmic
+from palpate.workers.organs.organ_protocol import Residuals, either_side, logarithmic
 
 # Distance of neighbouring points: a breast of 445 ml then has about 2,000.
 SPACING_MM = 4.0
@@ -228,22 +228,11 @@ def _compare(observation: BreastObservation, at: Equilibrium) -> tuple[FloatArra
 def _change(
     at: Equilibrium, problem_of: ProblemOf, constants: Mapping[str, float], p: FreeParameter
 ) -> Change:
-    """Return the problems on either side of a value, or on one side at an admissible bound."""
-    ahead, behind, step = _either_side(constants[p["name"]], p)
+    """Return the problems on either side of a value, or on one side at a bound of zero."""
+    ahead, behind, step = either_side(p, constants[p["name"]], STEP)
     plus = problem_of({**constants, p["name"]: ahead})
-    if behind == constants[p["name"]]:
-        return Change(plus, at.problem, step)
-    return Change(plus, problem_of({**constants, p["name"]: behind}), step)
-
-
-def _either_side(value: float, p: FreeParameter) -> tuple[float, float, float]:
-    if logarithmic(p):
-        return value * float(np.exp(STEP)), value * float(np.exp(-STEP)), 2 * STEP
-    h = STEP * (p["upper"] - p["lower"])
-    # A parameter with a lower bound of zero must not be negative.
-    if p["lower"] == 0 and value < h:
-        return value + h, value, h
-    return value + h, value - h, 2 * h
+    minus = at.problem if behind is None else problem_of({**constants, p["name"]: behind})
+    return Change(plus, minus, step)
 
 
 def _by_solving(

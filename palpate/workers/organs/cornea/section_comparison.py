@@ -35,7 +35,7 @@ from palpate.workers.organs.cornea.section_measures import contour_samples, mean
 from palpate.workers.organs.cornea.section_mesh import T6Mesh
 from palpate.workers.organs.cornea.section_outline import Section, arclength_mm, cropped_section
 from palpate.workers.organs.normal_equations import normal_equations
-from palpate.workers.organs.organ_protocol import Residuals, logarithmic
+from palpate.workers.organs.organ_protocol import Residuals, either_side
 
 
 def overlap_areas(a: FloatArray, b: FloatArray) -> tuple[float, float, float]:
@@ -364,16 +364,20 @@ def fit_surfaces(
     outcome = CorneaOutcome(solved.solution)
     if not outcome.converged:
         return FittedCornea(outcome, None)
-    sides = [_either_side(constants[p["name"]], p) for p in free]
-    smooth = [i for i, (_, behind, _) in enumerate(sides) if behind is not None]
-    changes = [_change(candidate_at, constants, free[i]["name"], sides[i]) for i in smooth]
     derivatives = np.empty((len(free), *outcome.displacement_mm.shape))
-    derivatives[smooth] = sensitivity(candidate, changes, solved).derivatives
-    for i in set(range(len(free))) - set(smooth):
-        ahead, _, step = sides[i]
-        derivatives[i] = _by_solving(
-            candidate_at({**constants, free[i]["name"]: ahead}), outcome.displacement_mm, step
-        )
+    changes: dict[int, CandidateChange] = {}
+    for i, p in enumerate(free):
+        name, value = p["name"], constants[p["name"]]
+        ahead, behind, apart = either_side(p, value, DERIVATIVE_STEP)
+        if behind is None:
+            step = ONE_SIDED * p["upper"]
+            farther = candidate_at({**constants, name: value + step})
+            derivatives[i] = _by_solving(farther, outcome.displacement_mm, step)
+        else:
+            plus, minus = (candidate_at({**constants, name: side}) for side in (ahead, behind))
+            changes[i] = CandidateChange(plus, minus, apart / 2)
+    smooth = sensitivity(candidate, [*changes.values()], solved)
+    derivatives[[*changes]] = smooth.derivatives
     moved = observation.points.points[:, :2] + outcome.displacement_mm[observation.nodes]
     distances, normals = observation.compare(moved, observation.points)
     shifts = np.einsum("kni,ni->nk", derivatives[:, observation.nodes], normals[:, :2])
@@ -383,40 +387,6 @@ def fit_surfaces(
         weight * distances, weight[:, None] * shifts, none_in_common, robust=False
     )
     return FittedCornea(outcome, Residuals(distances, equations, observation.noise))
-
-
-def _either_side(value: float, p: FreeParameter) -> tuple[float, float | None, float]:
-    """Return values on either side of a parameter, and their difference in its unit.
-
-    The difference is in logarithms for a parameter fitted as one; one-sided at zero.
-    """
-    if logarithmic(p):
-        return (
-            value * float(np.exp(DERIVATIVE_STEP)),
-            value * float(np.exp(-DERIVATIVE_STEP)),
-            2 * DERIVATIVE_STEP,
-        )
-    span = p["upper"] - p["lower"]
-    if p["lower"] == 0 and value < DERIVATIVE_STEP * span:
-        return value + ONE_SIDED * span, None, ONE_SIDED * span
-    return (
-        value + DERIVATIVE_STEP * span,
-        value - DERIVATIVE_STEP * span,
-        2 * DERIVATIVE_STEP * span,
-    )
-
-
-def _change(
-    candidate_at: CandidateOf,
-    constants: Mapping[str, float],
-    name: str,
-    side: tuple[float, float | None, float],
-) -> CandidateChange:
-    ahead, behind, apart = side
-    if behind is None:
-        raise AssertionError(f"{name} has only one side")
-    plus, minus = (candidate_at({**constants, name: value}) for value in (ahead, behind))
-    return CandidateChange(plus, minus, apart / 2)
 
 
 def _by_solving(ahead: Candidate, displacement_mm: FloatArray, step: float) -> FloatArray:

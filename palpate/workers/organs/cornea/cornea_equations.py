@@ -360,55 +360,41 @@ class LoadPath:
 
 
 def follow(
-    system: System,
-    start: FloatArray,
-    begin: Stage,
-    end: Stage,
-    first_step: float,
-    factors: Factors | None = None,
+    system: System, start: FloatArray, begin: Stage, end: Stage, first_step: float
 ) -> LoadPath:
     """Follow an equilibrium from stage `begin` to stage `end`.
 
     Each step starts from the parabola, or the line, through the previous equilibria.
     """
     past: list[tuple[float, FloatArray]] = [(0.0, start)]
-    step, steps, cuts, iterations, factorised = first_step, 0, 0, 0, 0
-    min_j = np.inf
+    results: list[Newton] = []
+    step, min_j, factors = first_step, np.inf, None
     while past[-1][0] < 1:
         fraction = min(1.0, past[-1][0] + step)
         if 1 - fraction < SMALLEST_LOAD_STEP:
             fraction = 1.0
         guess = _extrapolate(past, fraction)
         result = solve_stage(system, begin.towards(end, fraction), guess, factors)
-        iterations += result.iterations
-        factorised += result.factorisations
+        results.append(result)
         if result.reason:
-            cuts += 1
-            step = (fraction - past[-1][0]) / 2
-            factors = None
+            factors, step = None, (fraction - past[-1][0]) / 2
             if step < SMALLEST_LOAD_STEP:
-                return _load_path(past, result, steps, cuts, iterations, factorised, min_j)
-            continue
-        steps += 1
-        past = [*past[-2:], (fraction, result.u)]
-        factors, min_j = result.factors, result.min_j
-        step *= LOAD_STEP_GROWTH
-    done = Newton(past[-1][1], "", iterations, factorised, min_j, factors)
-    return _load_path(past, done, steps, cuts, iterations, factorised, min_j)
-
-
-def _load_path(
-    past: list[tuple[float, FloatArray]],
-    last: Newton,
-    steps: int,
-    cuts: int,
-    iterations: int,
-    factorised: int,
-    min_j: float,
-) -> LoadPath:
-    fraction, u = past[-1]
+                break
+        else:
+            past = [*past[-2:], (fraction, result.u)]
+            factors, min_j = result.factors, result.min_j
+            step *= LOAD_STEP_GROWTH
+    cuts = sum(bool(r.reason) for r in results)
     return LoadPath(
-        u, last.reason, fraction, steps, cuts, iterations, factorised, min_j, last.factors
+        u=past[-1][1],
+        reason=result.reason,
+        fraction=past[-1][0],
+        steps=len(results) - cuts,
+        cuts=cuts,
+        iterations=sum(r.iterations for r in results),
+        factorisations=sum(r.factorisations for r in results),
+        min_j=min_j,
+        factors=result.factors,
     )
 
 

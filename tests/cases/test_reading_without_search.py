@@ -11,7 +11,7 @@ import palpate
 from palpate.service.report.study.study_data import read_study_data
 from palpate.service.results.results_as_json import candidate_json, study_json
 from palpate.service.results.results_from_journal import candidate_results, study_results
-from palpate.service.search import genetic_search
+from palpate.service.search import genetic_operators
 from palpate.service.search.cma_search import CmaSearch
 from palpate.storage.backends.store_paths import StudyLayout
 from palpate.storage.errors import JournalError
@@ -42,12 +42,12 @@ def test_studies_are_readable_after_a_change_of_the_mutation(
     run(folder, Inline())
     before = everything_of(folder)
 
-    original = genetic_search.AdaptiveFeasible.__call__
+    original = genetic_operators.AdaptiveFeasible.__call__
 
     def another_step(*args: Any) -> Any:
         return np.clip(original(*args) * 1.01, 5.0, 20.0)
 
-    monkeypatch.setattr(genetic_search.AdaptiveFeasible, "__call__", another_step)
+    monkeypatch.setattr(genetic_operators.AdaptiveFeasible, "__call__", another_step)
     assert everything_of(folder) == before
     journal = StudyLayout(folder).journal
     lines = journal.read_text().splitlines(keepends=True)

@@ -28,7 +28,7 @@ from typing import Literal
 
 import numpy as np
 
-from palpate.service.search.genetic_search import with_start
+from palpate.service.search.genetic_operators import with_start
 from palpate.service.search.search_interface import (
     FloatArray,
     Generation,

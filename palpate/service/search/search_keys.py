@@ -13,15 +13,14 @@ from pydantic import AfterValidator, Field, model_validator
 
 from palpate.service.search.cma_search import CMA_STALL_GENERATIONS, CmaSearch, CmaSettings
 from palpate.service.search.constraints import ConstrainedSearch, Constraint, Constraints
-from palpate.service.search.genetic_search import (
+from palpate.service.search.genetic_operators import (
     INITIAL,
     MUTATIONS,
-    GeneticSearch,
-    GeneticSettings,
     Initial,
     StartingAt,
     genes_of,
 )
+from palpate.service.search.genetic_search import GeneticSearch, GeneticSettings
 from palpate.service.search.least_squares_search import (
     FittedNames,
     LeastSquaresSearch,

@@ -11,13 +11,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from palpate.service.search.genetic_search import (
-    Gaussian,
-    GeneticSearch,
-    GeneticSettings,
-    Mutation,
-    uniform_population,
-)
+from palpate.service.search.genetic_operators import Gaussian, Mutation, uniform_population
+from palpate.service.search.genetic_search import GeneticSearch, GeneticSettings
 from palpate.service.search.search_interface import FloatArray, Generation, Proposal, Space
 
 SPACE = Space.from_bounds(

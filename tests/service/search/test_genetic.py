@@ -10,12 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.service.search.genetic_search import (
-    Gaussian,
-    GeneticSearch,
-    GeneticSettings,
-    latin_hypercube,
-)
+from palpate.service.search.genetic_operators import Gaussian, latin_hypercube
+from palpate.service.search.genetic_search import GeneticSearch, GeneticSettings
 from palpate.service.search.search_interface import FloatArray, Generation, Proposal, Space, Stopped
 from palpate.service.search.stop_rules import Stall
 from palpate.storage.errors import InputError

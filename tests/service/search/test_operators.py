@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from palpate.service.search.genetic_search import (
+from palpate.service.search.genetic_operators import (
     INITIAL,
     MUTATIONS,
     AdaptiveFeasible,

@@ -4,15 +4,14 @@ import pytest
 
 from palpate.service.search.search_keys import PriorSpec, SearchSpec, StopSpec
 from palpate.workers.organs.breast.breast_keys import BreastScore, ModelSpec
-from palpate.workers.organs.specimen.specimen_keys import (
+from palpate.workers.organs.specimen.specimen_body_keys import (
     BodySpec,
     CircleSpec,
-    LoadsSpec,
     MaterialSpec,
-    PredictSpec,
     RegionSpec,
     SheetSpec,
 )
+from palpate.workers.organs.specimen.specimen_keys import LoadsSpec, PredictSpec
 
 SEARCH = {"parameters": {"E_fat_kpa": (5, 20)}}
 BOX = {"box_mm": (1, 2, 3)}

@@ -13,10 +13,9 @@ from palpate.storage.values import Volume
 from palpate.workers.input_files import named_by, parse_yaml, read_text
 from palpate.workers.organs.organ_plugins import organ_names
 from palpate.workers.organs.specimen.marker_and_field_data import observed
+from palpate.workers.organs.specimen.specimen_body_keys import BodySpec, MaterialSpec
 from palpate.workers.organs.specimen.specimen_keys import (
-    BodySpec,
     LoadsSpec,
-    MaterialSpec,
     SpecimenSpec,
     StateSpec,
     read_spec,

@@ -27,14 +27,13 @@ from palpate.workers.comparison.observation.marker_tracking import (
 from palpate.workers.comparison.observation.number_table import NumberTable, read_table
 from palpate.workers.mechanics.fem.loads_and_regions import DisplacementField
 from palpate.workers.organs.specimen.specimen_keys import (
-    FieldSpec,
     LoadsSpec,
-    MarkersSpec,
     MoveSpec,
     PredictSpec,
     SpecimenSpec,
 )
 from palpate.workers.organs.specimen.specimen_problem import held_axes, region_of
+from palpate.workers.organs.specimen.specimen_recording_keys import FieldSpec, MarkersSpec
 
 POINT = ("x_mm", "y_mm", "z_mm")
 MOVE = ("ux_mm", "uy_mm", "uz_mm")

@@ -24,7 +24,8 @@ from palpate.workers.mechanics.fem.loads_and_regions import Box
 from palpate.workers.mechanics.sheet_mesh import SheetModel, sheet_mesh
 from palpate.workers.organs.specimen.block_lattice import block
 from palpate.workers.organs.specimen.load_cells import LoadCell, SheetForward, TetrahedraWithCells
-from palpate.workers.organs.specimen.specimen_keys import FinitePoint, SheetSpec, SpecimenSpec
+from palpate.workers.organs.specimen.specimen_body_keys import FinitePoint, SheetSpec
+from palpate.workers.organs.specimen.specimen_keys import SpecimenSpec
 from palpate.workers.organs.specimen.specimen_problem import region_of
 
 # Faces as close as the nearest one, within this fraction of an element, touch the point.

@@ -25,13 +25,8 @@ from palpate.workers.mechanics.fem.loads_and_regions import (
 )
 from palpate.workers.mechanics.materials.law_plugins import DEFAULT_LAW, law_named
 from palpate.workers.mechanics.model_parameters import KPA, NUMBER
-from palpate.workers.organs.specimen.specimen_keys import (
-    Axis,
-    ForceSpec,
-    LoadsSpec,
-    RegionSpec,
-    SpecimenSpec,
-)
+from palpate.workers.organs.specimen.specimen_body_keys import Axis, RegionSpec
+from palpate.workers.organs.specimen.specimen_keys import ForceSpec, LoadsSpec, SpecimenSpec
 
 AXES = ("x", "y", "z")
 # Nodes this close to a plane belong to it.

@@ -12,7 +12,8 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, IntArray, Volume
 from palpate.workers.kernels_and_threads import CONTRACTED
 from palpate.workers.organs.specimen.mesh_file import MeshFile, read_mesh_file
-from palpate.workers.organs.specimen.specimen_keys import BodySpec, SpecimenSpec
+from palpate.workers.organs.specimen.specimen_body_keys import BodySpec
+from palpate.workers.organs.specimen.specimen_keys import SpecimenSpec
 
 # Cell data with the groups of Gmsh, the default of label_array.
 PHYSICAL = "gmsh:physical"

@@ -21,10 +21,10 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
+from palpate.service.export.exported_mesh import export_mesh
 from palpate.storage.backends.atomic_files import explained, write_file
 from palpate.storage.errors import InputError
 from palpate.storage.store import open_store
-from palpate.storage.stored_arrays import export_mesh
 from palpate.storage.values import FloatArray, IntArray, SpecJson, TetMesh, Volume
 from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium, equilibrium
 from palpate.workers.mechanics.fem.boundary_value_problem import Problem

@@ -13,10 +13,11 @@ import nibabel as nib
 import nrrd
 import numpy as np
 
+from palpate.service.export.exported_mesh import MESH_FORMATS, export_mesh
 from palpate.storage.backends.atomic_files import explained, replacing
 from palpate.storage.errors import InputError
 from palpate.storage.store import Store
-from palpate.storage.stored_arrays import export_mesh, load_mesh
+from palpate.storage.stored_arrays import load_mesh
 from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.images.nrrd_images import FRAME_KEY, PLACE_KEY
 from palpate.workers.body.images.tissue_labels import label_counts
@@ -25,7 +26,7 @@ from palpate.workers.plugins import plugins
 
 NIFTI_SUFFIXES = (".nii", ".nii.gz")
 VOLUME_SUFFIXES = (".nrrd", *NIFTI_SUFFIXES)
-MESH_SUFFIXES = (".vtu", ".vtk", ".msh")
+MESH_SUFFIXES = tuple(MESH_FORMATS)
 
 
 def solved_suffixes() -> tuple[str, ...]:

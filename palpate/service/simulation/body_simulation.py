@@ -7,11 +7,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from palpate.service.export.exported_mesh import export_mesh
 from palpate.service.export.solved_mesh_files import MeshData, mesh_data
 from palpate.service.simulation.simulation_record import SimulationRecord, Values
 from palpate.storage.errors import InputError
 from palpate.storage.read_only import hold_read_only
-from palpate.storage.stored_arrays import export_mesh
 from palpate.storage.values import FloatArray, IntArray, TetMesh, Volume
 from palpate.workers.mechanics.fem.body_equilibrium import Equilibrium, equilibrium, stress_free
 from palpate.workers.mechanics.fem.boundary_value_problem import Change, Problem

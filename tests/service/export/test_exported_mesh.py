@@ -4,8 +4,8 @@ import meshio
 import numpy as np
 import pytest
 
+from palpate.service.export.exported_mesh import MESH_FORMATS, export_mesh
 from palpate.storage.errors import InputError, StoreError
-from palpate.storage.stored_arrays import MESH_FORMATS, export_mesh
 from palpate.storage.values import TetMesh
 
 NODES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1 / 3, 1 / 3, -0.7]])

@@ -27,7 +27,7 @@ from palpate.workers.mechanics.materials.law_fit import read_tables
 from palpate.workers.organs.cornea.tonometer_frames import read_picture
 from palpate.workers.organs.specimen.block_lattice import lattice
 from palpate.workers.organs.specimen.mesh_file import read_mesh_file
-from palpate.workers.tasks.diagnosis_sources import open_source
+from palpate.workers.tasks.diagnosis_sources import check_source, open_source
 from tests.cases.bench.bench_cases import described, rows, text_of, write
 
 UNIT = (1.0, 1.0, 1.0)
@@ -202,7 +202,7 @@ def picture(kind: str) -> Callable[[Path], object]:
 def in_experiment(path: Path) -> object:
     """Read the experiment in the folder of a file."""
     source = open_source(path.parent / "experiment.yaml")
-    source.check()  # type: ignore[attr-defined]
+    check_source(source)
     return source
 
 

@@ -77,10 +77,15 @@ class CheckedSource(Protocol):
         """Statements shown first in every result of this source."""
 
 
-def checks_of(organ: str) -> StudyChecks | None:
-    """Return the checks of an organ; None if it has none of its own."""
+def checks_of(organ: str, searched: Mapping[str, Bounds] | None = None) -> StudyChecks | None:
+    """Return the checks of an organ, of a study that searches these intervals if any are given.
+
+    None if the organ has no checks of its own.
+    """
     name = organ_plugin(organ).checks
     checks: StudyChecks | None = resolve(name) if name else None
+    if searched is not None and isinstance(checks, SearchChecks):
+        return checks.with_search(searched)
     return checks
 
 

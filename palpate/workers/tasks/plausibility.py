@@ -8,14 +8,7 @@ from palpate.storage.store import open_store
 from palpate.workers.common_keys import CaseSpec, Door, ScoreSpec, TargetSpec
 from palpate.workers.mechanics.model_parameters import Bounds
 from palpate.workers.organs.organ_plugins import organ_named
-from palpate.workers.organs.plausibility_rule import (
-    BodyChecks,
-    Finding,
-    SearchChecks,
-    StudyChecks,
-    accept,
-    checks_of,
-)
+from palpate.workers.organs.plausibility_rule import BodyChecks, Finding, accept, checks_of
 from palpate.workers.tasks.task_store import BodyStore
 
 
@@ -48,7 +41,7 @@ def study_findings(
     InputError
         If an image is missing or cannot be read.
     """
-    checks = _checks(case, searched)
+    checks = checks_of(case.organ, searched)
     if checks is None:
         return
     findings = [*checks.of_case(case), *checks.before_bodies(case, target, score)]
@@ -61,11 +54,6 @@ def study_findings(
     if deformed is not None and reference is not None and target.is_aligned:
         deformed = bodies.organ.aligned(deformed, reference, case)[0]
     yield from checks.of_bodies(case, target, score, reference, deformed)
-
-
-def _checks(case: CaseSpec, searched: Mapping[str, Bounds]) -> StudyChecks | None:
-    checks = checks_of(case.organ)
-    return checks.with_search(searched) if isinstance(checks, SearchChecks) else checks
 
 
 def _imaged(bodies: BodyStore, spec: Door, elsewhere: bool) -> Any | None:
@@ -125,7 +113,7 @@ def check_case(case: CaseSpec, store: str | None = None, *, anyway: bool = False
 
 def case_findings(case: CaseSpec, body: Any | None = None) -> list[Finding]:
     """Return the findings about a case without a target, and about its body if given."""
-    checks = _checks(case, {})
+    checks = checks_of(case.organ, {})
     if checks is None:
         return []
     found: list[Finding] = list(checks.of_case(case))

@@ -20,6 +20,7 @@ from palpate.workers.organs.specimen.observed_and_predicted import unexplained_a
 from palpate.workers.organs.specimen.specimen_checks import outside_intervals
 from palpate.workers.organs.specimen.specimen_effects import NOT_SIMULATED
 from palpate.workers.organs.specimen.specimen_source import SpecimenSource
+from palpate.workers.tasks.diagnosis_sources import check_source
 from palpate.workers.tasks.diagnosis_store import JointFitRecord
 from tests.cases.bench.bench_cases import FORCE_N, NU, SIZE, YOUNG_MPA, described, motion, write
 
@@ -55,7 +56,7 @@ FURTHER = {"name": "further", "forces": [{"region": "top", "force_n": [0, 0, 1.5
 
 def test_unmeasured_component_is_not_compared(tmp_path):
     source = read_experiment(experiment(tmp_path, head=HEAD[:-1], predict=[FURTHER]))
-    source.check()
+    check_source(source)
     assert source.observed.notes == ("uz_mm was not measured and is not compared.",)
     assert len(source.observed.covariance) == 2 * len(points())
     inverse, fit = calibrate(source.inverse_problem(NODES), None)
@@ -97,12 +98,12 @@ def test_rejects_a_field_without_displacements(tmp_path, cell, words):
 def test_rejects_a_field_in_metres(tmp_path):
     path = experiment(tmp_path, motion(points()) / 1000)
     with pytest.raises(InputError, match="Nothing was measured"):
-        read_experiment(path).check()
+        check_source(read_experiment(path))
     for name in ("a.csv", "b.csv"):
         rows = np.hstack([points() / 1000, motion(points())])
         np.savetxt(tmp_path / name, rows, delimiter=",", header=",".join(HEAD), comments="")
     with pytest.raises(InputError, match="check whether they are in metres"):
-        read_experiment(path).check()
+        check_source(read_experiment(path))
 
 
 def test_region_moves_along_measured_axes_only(tmp_path):

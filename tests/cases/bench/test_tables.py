@@ -9,6 +9,7 @@ from palpate.workers.comparison.observation.number_table import read_table
 from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
 from palpate.workers.organs.specimen.experiment_files import read_experiment
 from palpate.workers.organs.specimen.specimen_checks import confirmed_scatter, outside_intervals
+from palpate.workers.tasks.diagnosis_sources import check_source
 from tests.cases.bench.bench_cases import HEAD, MARKERS, YOUNG_MPA, described, motion, rows, text_of
 from tests.cases.bench.bench_cases import write as written
 
@@ -18,7 +19,7 @@ COLUMN = {name: 1 + 3 * n for n, name in enumerate(MARKERS)}
 
 def observed(folder, a=None, b=None, **changes):
     source = read_experiment(written(folder, described(**changes), a, b))
-    source.check()
+    check_source(source)
     return source.observed
 
 
@@ -32,7 +33,7 @@ def lost(frames, number, marker="M3", values=None):
 def test_recovers_the_stiffness_of_a_block_with_a_lost_marker(tmp_path):
     """With a marker missing in 6 of 13 frames of a repeat, E is still 200 kPa within 1 %."""
     source = read_experiment(written(tmp_path, b=text_of(lost(slice(5, 11), 0.0))))
-    source.check()
+    check_source(source)
     np.testing.assert_allclose(source.observed.moved_mm[0], TRUE_MM, atol=1e-5)
     _, fit = calibrate(source.inverse_problem(500), None)
     assert fit.values()["E"] == pytest.approx(YOUNG_MPA, rel=0.01)

@@ -19,12 +19,17 @@ from palpate.workers.mechanics.fem.boundary_value_problem import Frame, Problem,
 from palpate.workers.mechanics.fem.discretisation import prepare
 from palpate.workers.mechanics.model_parameters import BREAST
 from palpate.workers.organs.breast.breast_keys import BreastCase, ModelSpec
-from palpate.workers.organs.breast.breast_study_source import StudyPieces, StudySource
+from palpate.workers.organs.breast.breast_study_source import (
+    TARGET_MESH,
+    BreastStudy,
+    BreastStudySource,
+)
 from palpate.workers.organs.breast.scan_facts import in_air
 from palpate.workers.organs.breast.scanned_case import ScannedCase
 from palpate.workers.organs.breast.scanned_case_files import read_case, read_case_file, understood
 from palpate.workers.organs.breast.scanned_case_keys import CaseFile, CaseModel
 from palpate.workers.organs.breast.scanned_case_source import PlannedCaseSource, ScannedCaseSource
+from palpate.workers.tasks.diagnosis_sources import check_source
 from tests.cases.filled_templates import filled, required, small_breast
 from tests.workers.tasks.one_process import diagnosed_store, diagnosis_in
 
@@ -40,15 +45,17 @@ DOOR_KPA = {
 INTERVALS = ("E_fat_kpa", "E_glandular_kpa", "eta_fat_kpa", "eta_glandular_kpa")
 
 
-def study_source(rest: Volume, pressed: Volume, **case: object) -> StudySource:
+def study_source(rest: Volume, pressed: Volume, **case: object) -> BreastStudySource:
     """Return a study of two images with only the required keys."""
     data = filled("breast-images", required("breast-images", FORCE_N))
     data["case"] |= case
     spec = StudySpec.model_validate(data)
     assert isinstance(spec.case, BreastCase)
     bounds = spec.case.parameters.bounds_from_door(spec.search.parameters)
-    pieces = StudyPieces("mine", spec.case, bounds, {}, in_air(rest), in_air(pressed), None)
-    return StudySource(pieces)
+    bodies = in_air(rest), in_air(pressed)
+    return BreastStudySource(
+        BreastStudy("mine", spec.case, bounds, {}, *bodies, {TARGET_MESH: None})
+    )
 
 
 def case_source(rest: Volume, pressed: Volume) -> ScannedCaseSource:
@@ -89,7 +96,9 @@ def test_a_study_and_a_diagnosis_of_the_same_scans_assume_the_same_noise(rest: V
 def test_a_plan_has_the_physics_of_the_diagnosis(rest: Volume) -> None:
     case = case_source(rest, rest)
     values = {"E_fat": 0.01, "E_gl": 0.04, "eta_fat": 0.1, "eta_glandular": 0.1}
-    planned = PlannedCaseSource(case.case.unloaded).acquisition.problem(0, FRAME)(values)
+    planned = PlannedCaseSource(
+        ScannedCase(case.case.file, in_air(rest), None, [])
+    ).acquisition.problem(0, FRAME)(values)
     assert planned == case.case.problem(0, FRAME)(values)
 
 
@@ -116,7 +125,7 @@ def test_templates_search_the_intervals_of_palpate_parameters(kind: str) -> None
 def test_a_diagnosis_of_a_study_takes_the_settings_of_the_study(rest: Volume) -> None:
     model = {"fibre_invariant": "isochoric", "fibres": "literal", "skin": "membrane"}
     study = study_source(rest, rest, model=model, constants={"nu": 0.47})
-    again = StudySource.from_content(study.content)
+    again = BreastStudySource.from_content(study.content)
     problem = again.problem(0, FRAME)({"E_fat": 0.01})
     assert problem.isochoric_fibre and problem.literal_fibre
     assert problem.membrane is not None
@@ -198,6 +207,6 @@ def test_a_body_from_palpates_own_solver_shows_no_gap_with_defaults(
     assert solved.outcome.converged
     pressed = warp_labels(control.reference, hierarchy.finest.mesh, solved.displacement_mm)
     source = ScannedCaseSource(case_on_disk(tmp_path, rest, pressed, {}))
-    source.check()
+    check_source(source)
     found = diagnosis_in(diagnosed_store(source, tmp_path / "store", 2000)).verdict
     assert (found.kind, found.primary) == ("no-gap", ())

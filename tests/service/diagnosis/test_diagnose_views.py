@@ -8,7 +8,8 @@ from palpate.storage.errors import InputError
 from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
 from palpate.workers.organs.breast.scan_facts import extent_mm
 from palpate.workers.organs.breast.scanned_case_files import read_case
-from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource, check_case
+from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource
+from palpate.workers.tasks.diagnosis_sources import check_source
 from tests.service.diagnosis.compressed_breast import (
     CROSSWISE,
     PRESSED,
@@ -30,7 +31,7 @@ def both_ways(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_scan_pressed_along_x_is_fitted_with_one_along_y(both_ways: Path) -> None:
     case = read_case(both_ways)
-    check_case(case)
+    check_source(ScannedCaseSource(case))
     assert case.names == ["20 N", "8 N along x"]
     inverse, fit = calibrate(ScannedCaseSource(case).inverse_problem(NODES, SPACING_MM))
     assert [s.problem(fit.values()).load.device.axis[0] for s in inverse.scans] == [0.0, 1.0]
@@ -53,7 +54,7 @@ def test_a_given_plate_distance_determines_the_stiffness_ratio(
     write_settings(tmp_path / "case", said)
     case = read_case(tmp_path / "case")
     assert case.names == [f"{high - low:g} mm"]
-    check_case(case)
+    check_source(ScannedCaseSource(case))
     _, fit = calibrate(ScannedCaseSource(case).inverse_problem(NODES, SPACING_MM))
     assert fit.values()["E_gl"] / 0.010 == pytest.approx(3.2, rel=0.1)
 

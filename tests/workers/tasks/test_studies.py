@@ -13,7 +13,7 @@ from palpate.storage.journal_records import EvaluationRecord, SessionRecord, Sta
 from palpate.storage.store import open_store
 from palpate.workers.resources import CACHE
 from palpate.workers.tasks import study_tasks as tasks
-from palpate.workers.tasks.diagnosis_sources import is_study, open_study
+from palpate.workers.tasks.diagnosis_sources import check_source, is_study, open_study
 
 SPEC = {
     "name": "small",
@@ -79,14 +79,14 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_study_opens_with_its_volumes_and_best_candidate(study: Path) -> None:
     assert is_study(study)
     source = open_study(study)
-    source.check()
+    check_source(source)
     assert (source.name, list(source.scans)) == ("small", ["10 N"])
     (free,) = source.free
     assert (free.name, free.lower, free.upper) == ("E_fat", 0.005, 0.02)
-    assert source.start == {"E_fat": 0.0095}
-    assert source.pieces.target_mesh == source.pieces.case.mesh
-    body = source.pieces.reference.values > 0
-    pressed = source.pieces.target.values > 0
+    assert source.study.best == {"E_fat": 0.0095}
+    assert source.study.own == {"target_mesh": source.study.case.mesh.model_dump()}
+    body = source.study.reference.values > 0
+    pressed = source.study.target.values > 0
     assert np.ptp(np.nonzero(pressed)[1]) < np.ptp(np.nonzero(body)[1])
 
 

@@ -90,10 +90,16 @@ class PlannedSource(HasContent, Protocol):
 
 @runtime_checkable
 class Checkable(Protocol):
-    """A source that can check its data."""
+    """A source that can check its data, other than by findings."""
 
     def check(self) -> None:
-        """See `Source.check`."""
+        """Check, before anything is fitted, that the data can be one body in several states.
+
+        Raises
+        ------
+        InputError
+            If they cannot; names the value found, the value expected and what to change.
+        """
 
 
 @runtime_checkable
@@ -138,15 +144,6 @@ class Source(HasContent, Protocol):
     @property
     def effects(self) -> Sequence[Effect]:
         """Catalogue of effects that may be missing from the model."""
-
-    def check(self) -> None:
-        """Check, before anything is fitted, that the data can be one body in several states.
-
-        Raises
-        ------
-        InputError
-            If they cannot; names the value found, the value expected and what to change.
-        """
 
     def inverse_problem(
         self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None

@@ -191,12 +191,6 @@ class ScannedCase:
         stated = self.file.wall.z_mm
         return lower_face_mm(self.reference) if stated is None else stated
 
-    @property
-    def unloaded(self) -> "ScannedCase":
-        """The same case without its loaded scans."""
-        cut, air = self.cut_cm2, self.air
-        return ScannedCase(self.file, self.reference, self.repeat, [], self.where, (), cut, air)
-
 
 def stated_starts_mm(file: CaseFile, load: CaseLoad) -> tuple[float | None, float | None]:
     """Return the plate positions of a load; unless both are given, those in `plates`."""

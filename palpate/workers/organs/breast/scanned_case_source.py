@@ -4,61 +4,29 @@ Their plausibility is checked from the file of the case and from its scans.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from typing import Self
 
-from numpy.typing import NDArray
-
-from palpate.storage.values import Tissue
+from palpate.storage.values import Tissue, Volume
 from palpate.workers.body.images.tissue_labels import resample_labels
 from palpate.workers.common_keys import validated
-from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise
 from palpate.workers.comparison.similarity_score import jaccard
-from palpate.workers.diagnosis.outcome.body_pictures import Displacements, pictures_of_scans
 from palpate.workers.diagnosis.outcome.diagnosis_source import SourceContent
-from palpate.workers.diagnosis.outcome.diagnosis_summary import Summary
-from palpate.workers.diagnosis.problem.inverse_problem import InverseProblem
-from palpate.workers.diagnosis.problem.planned_acquisition import (
-    Acquisition,
-    finer_model,
-    inverse_problem_of,
-    prepare_scan,
-)
-from palpate.workers.diagnosis.problem.prepared_parts import Prepared, ReadPrepared, preparations_of
-from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis
-from palpate.workers.kernels_and_threads import Each
+from palpate.workers.diagnosis.outcome.segmented_scans import SegmentedScans
+from palpate.workers.diagnosis.problem.planned_acquisition import Acquisition
 from palpate.workers.mechanics.effects.effect import Effect
 from palpate.workers.mechanics.fem.boundary_value_problem import Frame
-from palpate.workers.mechanics.fem.discretisation import Model
 from palpate.workers.mechanics.fem.loads_and_regions import Pressed
 from palpate.workers.mechanics.model_parameters import KPA
 from palpate.workers.organs.breast.scan_facts import BreastFacts, Scan, Tissues, unit_axis
 from palpate.workers.organs.breast.scan_plausibility import findings_of
 from palpate.workers.organs.breast.scanned_case import ScannedCase, acquisition_of, case_load
 from palpate.workers.organs.breast.scanned_case_keys import ALONG_Y, CaseFile
-from palpate.workers.organs.plausibility_rule import Finding, accept
+from palpate.workers.organs.plausibility_rule import Finding
 
 # Minimum Jaccard coefficient of the glandular tissue in two segmentations of one scan.
 SAME_GLAND = 0.5
 # Swelling is a cause that a diagnosis can find: 12 % of gland that fills a third of a body.
 SWELLING = 0.04
-
-
-def check_case(case: ScannedCase, *, anyway: bool = False) -> list[Finding]:
-    """Reject scans that cannot show one body under these loads.
-
-    Parameters
-    ----------
-    case : ScannedCase
-    anyway : bool
-        Accept implausible scans.
-
-    Raises
-    ------
-    InputError
-        If the scans are rejected; the message lists every reason.
-    """
-    return accept(case_findings(case), f"The case {case.file.name}", anyway=anyway)
 
 
 def case_findings(case: ScannedCase) -> Iterator[Finding]:
@@ -152,28 +120,57 @@ def _repeat(case: ScannedCase) -> Iterator[Finding]:
 REFERENCE, REPEAT, LOADED = "reference", "repeat", "loaded_"
 
 
-class ScannedCaseSource:
-    """A case with its loaded scans; see `workers.diagnosis.outcome.diagnosis_source.Source`.
+class PlannedCaseSource:
+    """A case before its loaded scans; see `diagnosis.outcome.diagnosis_source.PlannedSource`.
 
     Parameters
     ----------
     case : ScannedCase
     """
 
-    kind = "scanned case"
+    kind = "planned case"
 
     def __init__(self, case: ScannedCase) -> None:
         self.case = case
 
     @classmethod
-    def from_content(cls, content: SourceContent) -> "ScannedCaseSource":
+    def from_content(cls, content: SourceContent) -> Self:
         """Restore a source from its stored content."""
-        return cls(_case_from(content))
+        volumes = content.volumes
+        file = validated(CaseFile, content.record, "The case in the store")
+        loaded = [volumes[name] for name in sorted(volumes, key=_number) if name.startswith(LOADED)]
+        return cls(ScannedCase(file, volumes[REFERENCE], volumes.get(REPEAT), loaded))
 
     @property
     def content(self) -> SourceContent:
-        """The settings and all scans."""
-        return _content(self.kind, self.case)
+        """The settings and the scans."""
+        case = self.case
+        volumes = {REFERENCE: case.reference}
+        if case.repeat is not None:
+            volumes[REPEAT] = case.repeat
+        if case.is_scanned:
+            volumes |= {f"{LOADED}{number}": scan for number, scan in enumerate(case.deformed)}
+        return SourceContent(self.kind, case.file.record, volumes, {})
+
+    def findings(self) -> Iterator[Finding]:
+        """See `workers.organs.plausibility_rule.CheckedSource`."""
+        yield from case_findings(self.case)
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """Descriptions of the alignment of the scans."""
+        return self.case.motions
+
+    @property
+    def acquisition(self) -> Acquisition:
+        """The acquisition, without the loaded scans."""
+        return acquisition_of(self.case)
+
+
+class ScannedCaseSource(PlannedCaseSource, SegmentedScans):
+    """A case with its loaded scans; see `workers.diagnosis.outcome.diagnosis_source.Source`."""
+
+    kind = "scanned case"
 
     @property
     def name(self) -> str:
@@ -196,122 +193,14 @@ class ScannedCaseSource:
         return {load.name: Pressed(load.axis, load.force_n) for load in self.case.loads}
 
     @property
-    def segmentation_noise(self) -> SegmentationNoise:
-        """Noise of the segmentations."""
-        return self.case.noise
-
-    def check(self) -> None:
-        """Reject scans that cannot show one body under these loads."""
-        check_case(self.case)
-
-    def findings(self) -> Iterator[Finding]:
-        """See `workers.organs.plausibility_rule.CheckedSource`."""
-        yield from case_findings(self.case)
+    def loaded(self) -> Sequence[Volume]:
+        """The loaded scans."""
+        return self.case.deformed
 
     @property
-    def caveats(self) -> tuple[str, ...]:
-        """Descriptions of the alignment of the scans."""
-        return self.case.motions
-
-    @property
-    def preparations(self) -> Sequence[str]:
-        """Names of the preparations: points, body and loaded scans."""
-        return preparations_of(len(self.case.deformed))
-
-    def prepare(self, name: str, spacing_mm: float) -> Prepared:
-        """Compute one of the preparations."""
-        return prepare_scan(self.acquisition, name, spacing_mm, self.case.deformed)
-
-    def inverse_problem(
-        self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
-    ) -> InverseProblem:
-        """Return the comparison of points on the interfaces of the meshed body with the scans."""
-        scans = self.case.deformed
-        return inverse_problem_of(self.acquisition, nodes, spacing_mm, scans, prepared)
-
-    def finer(self, nodes: int, prepared: ReadPrepared | None = None) -> Model:
-        """Return another mesh of the same outline."""
-        return finer_model(self.acquisition, nodes, prepared)
-
-    @property
-    def acquisition(self) -> Acquisition:
-        """The acquisition, without the loaded scans."""
-        return acquisition_of(self.case)
-
-    def describe(
-        self,
-        diagnosis: Diagnosis,
-        displacements: Displacements,
-        summary: Summary,
-        prepared: ReadPrepared,
-        each: Each = map,
-    ) -> tuple[dict[str, NDArray[Any]], Summary]:
-        """Draw bodies, maps and overlaps."""
-        case = self.case
-        return pictures_of_scans(
-            diagnosis,
-            self.effects,
-            displacements,
-            replace(summary, not_simulated=case.file.model.laws.not_simulated),
-            case.reference,
-            case.deformed,
-            prepared,
-            each,
-        )
-
-
-class PlannedCaseSource:
-    """A case whose loaded scans need not exist; see `diagnosis.outcome.source.PlannedSource`.
-
-    Parameters
-    ----------
-    case : ScannedCase
-        Its body at rest replaces the loaded scans.
-    """
-
-    kind = "planned case"
-
-    def __init__(self, case: ScannedCase) -> None:
-        self.case = case
-
-    @classmethod
-    def from_content(cls, content: SourceContent) -> "PlannedCaseSource":
-        """Restore a source from its stored content."""
-        return cls(_case_from(content))
-
-    def findings(self) -> Iterator[Finding]:
-        """See `workers.organs.plausibility_rule.CheckedSource`."""
-        yield from case_findings(self.case.unloaded)
-
-    @property
-    def caveats(self) -> tuple[str, ...]:
-        """No caveats: the scans do not exist yet."""
-        return ()
-
-    @property
-    def content(self) -> SourceContent:
-        """The settings and the scan at rest."""
-        return _content(self.kind, self.case.unloaded)
-
-    @property
-    def acquisition(self) -> Acquisition:
-        """The body, its loads and its noise."""
-        return acquisition_of(self.case)
-
-
-def _content(kind: str, case: ScannedCase) -> SourceContent:
-    volumes = {REFERENCE: case.reference}
-    if case.repeat is not None:
-        volumes[REPEAT] = case.repeat
-    if case.is_scanned:
-        volumes |= {f"{LOADED}{number}": scan for number, scan in enumerate(case.deformed)}
-    return SourceContent(kind, case.file.record, volumes, {})
-
-
-def _case_from(content: SourceContent) -> ScannedCase:
-    file, volumes = validated(CaseFile, content.record, "The case in the store"), content.volumes
-    loaded = [volumes[name] for name in sorted(volumes, key=_number) if name.startswith(LOADED)]
-    return ScannedCase(file, volumes[REFERENCE], volumes.get(REPEAT), loaded)
+    def not_simulated(self) -> tuple[tuple[str, str], ...] | None:
+        """See `TissueLaws.not_simulated`."""
+        return self.case.file.model.laws.not_simulated
 
 
 def _number(name: str) -> int:

@@ -11,23 +11,23 @@ that is smooth and larger than its cause. 10 um of thickness change the displace
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from palpate.storage.errors import InputError
-from palpate.storage.values import BoolArray, FloatArray
+from palpate.storage.values import BoolArray, FloatArray, Volume
 from palpate.workers.common_keys import validated
 from palpate.workers.comparison.observation.interface_residual import InterfacePoints
 from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise, covariance
 from palpate.workers.diagnosis.diagnosis_settings import SETTINGS, FieldSettings
 from palpate.workers.diagnosis.linearisation import LinearFit
 from palpate.workers.diagnosis.outcome.body_pictures import Displacements
-from palpate.workers.diagnosis.outcome.diagnosis_source import FinishedStudy, SourceContent
+from palpate.workers.diagnosis.outcome.diagnosis_source import SourceContent
 from palpate.workers.diagnosis.outcome.diagnosis_summary import RegionGap, Summary
 from palpate.workers.diagnosis.outcome.gap_and_shrinkage import region_gap
 from palpate.workers.diagnosis.problem.inverse_problem import FreeConstant, InverseProblem, Scan
@@ -37,18 +37,22 @@ from palpate.workers.diagnosis.verdict.diagnosis_course import Diagnosis
 from palpate.workers.kernels_and_threads import Each
 from palpate.workers.mechanics.effects.effect import Effect
 from palpate.workers.mechanics.fem.boundary_value_problem import Change, Frame
-from palpate.workers.mechanics.model_parameters import KPA, NUMBER, Bounds, Unit
-from palpate.workers.organs.cornea.cornea_checks import CHECKS
+from palpate.workers.mechanics.model_parameters import KPA, NUMBER, Unit
 from palpate.workers.organs.cornea.cornea_effects import CATALOGUE
 from palpate.workers.organs.cornea.cornea_forward import CorneaForward, CorneaProblem
-from palpate.workers.organs.cornea.cornea_keys import CorneaCase, CorneaScore, CorneaTarget
+from palpate.workers.organs.cornea.cornea_keys import SPEC, CorneaCase, CorneaScore, CorneaTarget
 from palpate.workers.organs.cornea.cornea_organ import ORGAN
 from palpate.workers.organs.cornea.cornea_problem import Candidate, candidate_of, prepare
 from palpate.workers.organs.cornea.prestressed_equilibrium import deeper
 from palpate.workers.organs.cornea.section_comparison import ANTERIOR, POSTERIOR, SurfaceResidual
 from palpate.workers.organs.cornea.section_mesh import T6Mesh
 from palpate.workers.organs.cornea.section_outline import Section
-from palpate.workers.organs.plausibility_rule import Finding
+from palpate.workers.organs.finished_study import (
+    REFERENCE,
+    TARGET,
+    FinishedStudySource,
+    SearchedStudy,
+)
 
 # Cosine modes of the thickness error along the section, starting with the constant one.
 WAVES = 12
@@ -155,120 +159,48 @@ SIMULATED = SegmentationNoise(0.001, 0.5, 0.0, 0.0006)
 SOMETHING_ELSE = FieldSettings(amplitudes_mm=(0.01, 0.03, 0.1), lengths_mm=(0.6, 1.5, 4.0))
 
 
-@dataclass(frozen=True, eq=False)
-class CorneaStudy:
-    """The inputs of a diagnosis from a study and its store.
-
-    Parameters
-    ----------
-    name : str
-    case : CorneaCase
-    window_mm : (float, float) or None
-        The part shown by the images.
-    bounds : mapping of str to (float, float)
-        Searched intervals, in internal names and units.
-    best : mapping of str to float
-        Searched parameters of the best candidate; empty if there is none.
-    reference, target : Section
-    noise : SegmentationNoise
-    caveats : tuple of str
-        Statements that qualify every result of the study.
-    frames : (CorneaCase, CorneaTarget) or None
-        Location of the frames, for their checks; None if the study is restored from the store.
-    """
-
-    name: str
-    case: CorneaCase
-    window_mm: tuple[float, float] | None
-    bounds: Mapping[str, Bounds]
-    best: Mapping[str, float]
-    reference: Section
-    target: Section
-    noise: SegmentationNoise
-    caveats: tuple[str, ...] = ()
-    frames: tuple[CorneaCase, CorneaTarget] | None = None
+CorneaStudy = SearchedStudy[CorneaCase, Section]
+# Name of the part shown by the images, among the settings of a study.
+WINDOW = "window_mm"
 
 
-class CorneaStudySource:
+class CorneaStudySource(FinishedStudySource[CorneaCase, Section]):
     """See `workers.diagnosis.outcome.diagnosis_source.Source`."""
 
     kind = "cornea study"
-
-    def __init__(self, study: CorneaStudy) -> None:
-        self.study = study
-
-    @classmethod
-    def from_study(cls, study: FinishedStudy) -> "CorneaStudySource":
-        """Return the source for a completed study.
-
-        Raises
-        ------
-        InputError
-            If its case or target is invalid.
-        """
-        case = validated(CorneaCase, study.case, "The study's case")
-        target = validated(CorneaTarget, study.target, "The study's target")
-        score = validated(CorneaScore, study.score, "The study's score")
-        return cls(
-            CorneaStudy(
-                name=study.name,
-                case=case,
-                window_mm=score.window_mm,
-                bounds=case.parameters.bounds_from_door(study.parameters),
-                best=case.parameters.from_door(study.best),
-                reference=study.reference,
-                target=study.deformed,
-                noise=SIMULATED if target.frame is None else SEGMENTED,
-                caveats=study.caveats,
-                frames=(case, target),
-            )
-        )
+    spec = SPEC
+    needs = "a constant of the law, such as mu1_pa,"
+    stored_reference: ClassVar[Mapping[str, Any]] = {"section": {}}
 
     @classmethod
-    def from_content(cls, content: SourceContent) -> "CorneaStudySource":
-        """Restore the source from its stored content."""
-        record, arrays = content.record, content.arrays
-        window = record["window_mm"]
-        return cls(
-            CorneaStudy(
-                name=record["name"],
-                case=validated(CorneaCase, record["case"], "The study's case"),
-                window_mm=None if window is None else (window[0], window[1]),
-                bounds={name: (lower, upper) for name, (lower, upper) in record["bounds"].items()},
-                best=record["best"],
-                reference=Section(arrays["reference_anterior"], arrays["reference_posterior"]),
-                target=Section(arrays["target_anterior"], arrays["target_posterior"]),
-                noise=SegmentationNoise(**record["noise"]),
-            )
-        )
+    def completed(
+        cls, study: CorneaStudy, target: CorneaTarget, score: Mapping[str, Any]
+    ) -> CorneaStudy:
+        """See `FinishedStudySource.completed`: the window."""
+        keys = validated(CorneaScore, score, "The study's score")
+        return replace(study, own=keys.model_dump(mode="json", include={WINDOW}))
 
     @property
-    def content(self) -> SourceContent:
-        """Return case, intervals and best candidate of the study, and both sections."""
-        study = self.study
-        case = study.case.model_dump(mode="json")
-        # The section is among the arrays; its origin no longer matters.
-        case["reference"] = {"section": {}}
-        record = {
-            "name": study.name,
-            "case": case,
-            "window_mm": study.window_mm,
-            "bounds": {name: list(ends) for name, ends in study.bounds.items()},
-            "best": dict(study.best),
-            "noise": asdict(study.noise),
-        }
-        arrays = {
-            "reference_anterior": study.reference.anterior_mm,
-            "reference_posterior": study.reference.posterior_mm,
-            "target_anterior": study.target.anterior_mm,
-            "target_posterior": study.target.posterior_mm,
-        }
-        return SourceContent(self.kind, record, {}, arrays)
+    def stored_bodies(self) -> tuple[dict[str, Volume], dict[str, NDArray[Any]]]:
+        """Both sections as arrays."""
+        sections = {REFERENCE: self.study.reference, TARGET: self.study.target}
+        anterior = {f"{name}_anterior": s.anterior_mm for name, s in sections.items()}
+        return {}, anterior | {f"{name}_posterior": s.posterior_mm for name, s in sections.items()}
+
+    @classmethod
+    def bodies_of(cls, content: SourceContent) -> tuple[Section, Section]:
+        """Return both sections."""
+
+        def section(name: str) -> Section:
+            return Section(content.arrays[f"{name}_anterior"], content.arrays[f"{name}_posterior"])
+
+        return section(REFERENCE), section(TARGET)
 
     @property
-    def name(self) -> str:
-        """Return the name of the study."""
-        return self.study.name
+    def usual_noise(self) -> SegmentationNoise:
+        """See `FinishedStudySource.usual_noise`."""
+        target = self.study.stated
+        return SIMULATED if target is None or target.frame is None else SEGMENTED
 
     @property
     def scans(self) -> Sequence[str]:
@@ -290,27 +222,6 @@ class CorneaStudySource:
             if name.startswith(("mu", "alpha"))
         ]
 
-    def check(self) -> None:
-        """Reject a study without a searched constant of the law."""
-        if not self.free:
-            raise InputError(
-                f"The study {self.name} has searched {', '.join(self.study.bounds) or 'nothing'}; "
-                "a diagnosis needs a constant of the law, such as mu1_pa, under search.parameters."
-            )
-
-    def findings(self) -> Iterator[Finding]:
-        """See `workers.organs.plausibility_rule.CheckedSource`."""
-        self.check()
-        if self.study.frames is not None:
-            case, target = self.study.frames
-            bodies = self.study.reference, self.study.target
-            yield from CHECKS.of_bodies(case, target, None, *bodies)
-
-    @property
-    def caveats(self) -> tuple[str, ...]:
-        """Return the statements that qualify the study's results."""
-        return self.study.caveats
-
     def inverse_problem(
         self, nodes: int, spacing_mm: float, prepared: ReadPrepared | None = None
     ) -> InverseProblem:
@@ -321,12 +232,12 @@ class CorneaStudySource:
         """
         study = self.study
         mesh = self._mesh
-        points, chosen = surface_points(mesh, study.window_mm)
+        points, chosen = surface_points(mesh, study.own[WINDOW])
         rows = np.arange(len(chosen)), chosen
         at_points = csr_matrix((np.ones(len(chosen)), rows), (len(chosen), len(mesh.nodes_mm)))
         model: Any = ORGAN.prepare(mesh)
         near = self.problem()({})
-        drawn = geometry_covariance(near, study.noise, at_points, points.normals)
+        drawn = geometry_covariance(near, self.noise, at_points, points.normals)
         return InverseProblem(
             model=model,
             frame=frame_of_section(mesh),
@@ -334,8 +245,8 @@ class CorneaStudySource:
             at_points=at_points,
             free=self.free,
             scans=[Scan(self.scans[0], self.problem(), SurfaceResidual(study.target))],
-            noise=study.noise,
-            covariance=covariance(points, study.noise, 1) + drawn,
+            noise=self.noise,
+            covariance=covariance(points, self.noise, 1) + drawn,
             bias=np.zeros(len(points)),
             forward=CorneaForward(),
             something_else=SOMETHING_ELSE,

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from palpate.storage.errors import InputError
 from palpate.storage.values import BoolArray, FloatArray, Volume
 from palpate.workers.common_keys import validated
 from palpate.workers.comparison.observation.interface_residual import InterfacePoints
@@ -215,18 +214,6 @@ class SpecimenSource:
     def caveats(self) -> tuple[str, ...]:
         """No caveats: doubts about the data are part of the summary."""
         return ()
-
-    def check(self) -> None:
-        """Reject an experiment that is not plausible.
-
-        Raises
-        ------
-        InputError
-            If there are findings; the message lists all of them.
-        """
-        found = [finding.text for finding in self.findings()]
-        if found:
-            raise InputError(f"The experiment {self.name} is not plausible. " + " ".join(found))
 
     def inverse_problem(
         self, nodes: int, spacing_mm: float = 0.0, prepared: ReadPrepared | None = None

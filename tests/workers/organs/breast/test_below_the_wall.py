@@ -12,7 +12,8 @@ from palpate.workers.diagnosis.problem.scan_prediction import predict_scan
 from palpate.workers.organs.breast.breast_effects import CATALOGUE
 from palpate.workers.organs.breast.scanned_case import ScannedCase
 from palpate.workers.organs.breast.scanned_case_files import read_case
-from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource, check_case
+from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource
+from palpate.workers.tasks.diagnosis_sources import check_source
 from tests.service.diagnosis.compressed_breast import SCANS, TRUE_MPA, write_case, write_scan
 
 effect = CATALOGUE.named
@@ -35,7 +36,7 @@ def test_loaded_scans_keep_tissue_below_the_wall_but_checks_ignore_it(case: Scan
     assert below(case.reference, case.wall_mm) == 0
     assert all(below(labels, case.wall_mm) > 100 for labels in case.deformed)
     assert all(below(case.above_wall(one), case.wall_mm) == 0 for one in case.deformed)
-    check_case(case)
+    check_source(ScannedCaseSource(case))
 
 
 def left(case: ScannedCase) -> FloatArray:

@@ -11,7 +11,8 @@ from palpate.storage.errors import InputError
 from palpate.storage.values import Tissue, Triple, Volume
 from palpate.workers.organs.breast.scan_facts import extent_mm
 from palpate.workers.organs.breast.scanned_case_files import read_case
-from palpate.workers.organs.breast.scanned_case_source import check_case
+from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource
+from palpate.workers.tasks.diagnosis_sources import check_source
 from tests.service.diagnosis.compressed_breast import SCANS, loads_exchanged, write_case, write_scan
 
 Change = Callable[[Path], object]
@@ -90,14 +91,14 @@ def copied(tilted: Path, tmp_path: Path) -> Path:
 
 
 def test_a_sound_case_passes(tilted: Path) -> None:
-    check_case(read_case(tilted))
+    check_source(ScannedCaseSource(read_case(tilted)))
 
 
 @pytest.mark.parametrize(("change", "said"), WRONG.values(), ids=WRONG)
 def test_rejects_scans_of_different_bodies(copied: Path, change: Change, said: str) -> None:
     change(copied)
     with pytest.raises(InputError, match=said.replace("(", r"\(")):
-        check_case(read_case(copied))
+        check_source(ScannedCaseSource(read_case(copied)))
 
 
 def test_symmetric_sides_are_not_a_mirror_image(copied: Path) -> None:
@@ -106,9 +107,9 @@ def test_symmetric_sides_are_not_a_mirror_image(copied: Path) -> None:
         half = labels.values[:, :, : labels.shape_xyz[0] // 2]
         even = np.concatenate([half, half[:, :, ::-1]], axis=2)
         write_scan(copied / file, Volume(even, labels.spacing_mm, labels.origin_mm))
-    check_case(read_case(copied))
+    check_source(ScannedCaseSource(read_case(copied)))
     mirrored(copied)
-    check_case(read_case(copied))
+    check_source(ScannedCaseSource(read_case(copied)))
 
 
 def test_a_body_may_bulge_behind_the_edge_of_the_plates(copied: Path) -> None:
@@ -123,7 +124,7 @@ def test_a_body_may_bulge_behind_the_edge_of_the_plates(copied: Path) -> None:
         x, y, z = labels.origin_mm
         place = (x, y - extra * labels.spacing_mm[1], z)
         write_scan(copied / file, Volume(values, labels.spacing_mm, place))
-    check_case(read_case(copied))
+    check_source(ScannedCaseSource(read_case(copied)))
 
 
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.6, -0.8, 0.0)])

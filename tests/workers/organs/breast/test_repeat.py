@@ -9,8 +9,8 @@ from palpate.workers.body.phantom.phantom_generation import generate_breast
 from palpate.workers.comparison.observation.segmentation_noise import SegmentationNoise
 from palpate.workers.organs.breast.scanned_case import ScannedCase
 from palpate.workers.organs.breast.scanned_case_files import read_case
-from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource, check_case
-from palpate.workers.tasks.diagnosis_sources import add_source
+from palpate.workers.organs.breast.scanned_case_source import ScannedCaseSource
+from palpate.workers.tasks.diagnosis_sources import add_source, check_source
 from palpate.workers.tasks.task_store import TaskStore
 from tests.service.diagnosis.compressed_breast import (
     PHANTOM,
@@ -61,4 +61,4 @@ def test_rejects_a_repeat_of_another_body(twice: Path, tmp_path: Path) -> None:
     labels = generate_breast(PHANTOM, seed=6).labels
     write_scan(tmp_path / "again.nrrd", labels)
     with pytest.raises(InputError, match=r"again\.nrrd .* same scan"):
-        check_case(read_case(tmp_path))
+        check_source(ScannedCaseSource(read_case(tmp_path)))

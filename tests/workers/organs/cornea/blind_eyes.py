@@ -22,6 +22,7 @@ from palpate.workers.diagnosis.fits.nominal_calibration import calibrate
 from palpate.workers.organs.cornea.cornea_keys import CorneaCase
 from palpate.workers.organs.cornea.cornea_study_source import (
     SEGMENTED,
+    WINDOW,
     CorneaStudy,
     CorneaStudySource,
 )
@@ -114,11 +115,11 @@ def source_of(draw, number):
     study = CorneaStudy(
         f"eye {number}",
         case,
-        (-5.2, 5.2),
         BOUNDS,
         {},
         Section(before, inner),
         Section(after, inner_after),
+        {WINDOW: (-5.2, 5.2)},
         SEGMENTED,
     )
     return CorneaStudySource(study)

@@ -16,6 +16,7 @@ from palpate.workers.organs.cornea.cornea_keys import CorneaCase
 from palpate.workers.organs.cornea.cornea_organ import ORGAN
 from palpate.workers.organs.cornea.cornea_study_source import SEGMENTED, CorneaStudySource
 from palpate.workers.organs.source_registry import source_of, source_of_study
+from palpate.workers.tasks.diagnosis_sources import check_source
 from tests.workers.organs.cornea import blind_eyes
 from tests.workers.organs.cornea.blind_eyes import diagnosed
 
@@ -79,7 +80,7 @@ def test_searched_effects_are_not_candidates() -> None:
 def test_rejects_a_study_without_searched_constants() -> None:
     source = source_of_study("cornea", study({"jet_centre_mm": [-1, 1]}))
     with pytest.raises(InputError, match="needs a constant of the law"):
-        source.check()
+        check_source(source)
     with pytest.raises(InputError, match="cannot be planned"):
         _ = source.acquisition
 

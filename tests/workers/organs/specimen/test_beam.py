@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from palpate.workers.organs.specimen.experiment_files import read_experiment
+from palpate.workers.tasks.diagnosis_sources import check_source
 from palpate.workers.tasks.diagnosis_store import Outcome
 from tests.workers.tasks.one_process import diagnosed_store, diagnosis_in
 
@@ -39,7 +40,7 @@ def diagnosed(source, folder):
 
 def test_recordings_match_published_displacements(tmp_path):
     source = source_of(tmp_path)
-    source.check()
+    check_source(source)
     drops = -source.observed.moved_mm[:, :, 1].mean(axis=1)
     np.testing.assert_allclose(drops, [6.5, 17.0], atol=0.1)
     np.testing.assert_allclose(source.observed.repeats_mm, [0.20, 0.46], atol=0.01)

@@ -10,6 +10,7 @@ from palpate.workers.diagnosis.outcome.summarising import summarise
 from palpate.workers.mechanics.fem.boundary_value_problem import Change
 from palpate.workers.organs.specimen.experiment_files import READER, read_experiment
 from palpate.workers.organs.specimen.load_cells import SheetForward
+from palpate.workers.tasks.diagnosis_sources import check_source
 from palpate.workers.tasks.diagnosis_tasks import model_displacements
 from tests.workers.tasks.one_process import diagnosed_store, diagnosis_in
 
@@ -81,7 +82,7 @@ def written(folder, data, slip=0.0):
 
 def test_diagnosis_finds_the_stiffness_and_predicts_the_force(tmp_path):
     source = read_experiment(written(tmp_path, described()))
-    source.check()
+    check_source(source)
     assert ("body", "sheet of 40 x 20 mm, 0.5 mm thick") in READER.understood(
         tmp_path / "strip.yaml"
     )
@@ -154,7 +155,7 @@ def test_reads_markers_without_z(tmp_path):
         rows = [[t, *(rest + (t > 2) * moved(stretch).ravel())] for t in np.arange(0, 4.1, 0.5)]
         np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header=head, comments="")
     source = read_experiment(path)
-    source.check()
+    check_source(source)
     np.testing.assert_allclose(source.observed.moved_mm[1, :, :2], moved(STRETCHES["more"]))
     assert np.isnan(source.observed.moved_mm[..., 2]).all()
     assert source.inverse_problem(NODES).arms is None

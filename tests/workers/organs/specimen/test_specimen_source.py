@@ -22,6 +22,7 @@ from palpate.workers.mechanics.fem.loads_and_regions import Box, DeadForce, NoPl
 from palpate.workers.organs.specimen.block_lattice import lattice, lattices
 from palpate.workers.organs.specimen.experiment_files import files_of, read_experiment
 from palpate.workers.organs.specimen.specimen_keys import read_spec
+from palpate.workers.tasks.diagnosis_sources import check_source
 from tests.workers.organs.specimen.experiments import (
     LOADS_N,
     MARKERS,
@@ -195,7 +196,7 @@ def test_files_of_lists_all_inputs(source, tmp_path):
         "loaded1.csv",
     ]
     assert source.scans == ["bare", "loaded"]
-    source.check()
+    check_source(source)
 
 
 def test_names_a_missing_recording(tmp_path):
@@ -229,7 +230,7 @@ def test_reads_a_field_of_points(tmp_path):
             comments="",
         )
     source = read_experiment(write(tmp_path, data))
-    source.check()
+    check_source(source)
     inverse = source.inverse_problem(NODES, 0.0)
     assert inverse.arms is None
     assert "marker_standoff" not in [e.name for e in source.effects]

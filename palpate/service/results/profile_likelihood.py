@@ -13,7 +13,7 @@ import numpy as np
 
 from palpate.service.cluster.task_dispatch import Dispatcher
 from palpate.service.errors_and_interrupts import TaskError
-from palpate.service.search.least_squares_search import SquaredSum, best_step
+from palpate.service.search.least_squares_search import squares_of
 from palpate.service.search.search_interface import FloatArray, LogSpace, Space
 from palpate.service.study.study_folder import StudyLog
 from palpate.service.study.study_keys import StudySpec
@@ -23,6 +23,8 @@ from palpate.storage.errors import InputError
 from palpate.storage.store import open_store
 from palpate.storage.values import EvaluationResult, FitJson
 from palpate.workers.mechanics.model_parameters import unknown_name
+from palpate.workers.organs.normal_equations import NormalEquations
+from palpate.workers.organs.trust_region_descent import Box, best_step
 
 # The 90 % quantile of chi-squared with one degree of freedom.
 CHI2_90 = 2.706
@@ -81,7 +83,7 @@ class _Held:
 
     trial: FloatArray
     at: FloatArray
-    here: SquaredSum | None = None
+    here: NormalEquations | None = None
     score: float | None = None
     done: bool = False
 
@@ -138,7 +140,7 @@ class _Profiler:
         for _ in range(ROUNDS):
             waiting = [refit for refit in held if not refit.done]
             self._evaluate(waiting)
-        least = min([self.here.value] + [h.here.value for h in held if h.here is not None])
+        least = min([self.here.cost] + [h.here.cost for h in held if h.here is not None])
         points = tuple(self._point(refit, least) for refit in held)
         known = [(p.value, p.rise) for p in points if p.rise is not None]
         centre = float(self.logs.genes(self.at)[self.index])
@@ -183,7 +185,7 @@ class _Profiler:
             one.done = True
             return
         there = self._squares(fit)
-        if one.here is not None and there.value >= one.here.value:
+        if one.here is not None and there.cost >= one.here.cost:
             one.done = True
             return
         score = result.get("score")
@@ -193,11 +195,8 @@ class _Profiler:
         if one.done:
             return
         o = self.others
-        part = SquaredSum(
-            there.value, there.gradient[o], there.hessian[np.ix_(o, o)], there.residuals
-        )
-        inner = LogSpace(_part(self.space, o))
-        step, fall = best_step(part, one.at[o], REACH, inner)
+        box = Box(self.logs.lower[o], self.logs.upper[o])
+        step, fall = best_step(there.part(o), one.at[o], REACH, box)
         one.done = fall < SMALL * there.noise
         if not one.done:
             one.trial = one.at.copy()
@@ -205,21 +204,13 @@ class _Profiler:
 
     def _point(self, one: _Held, least: float) -> ProfilePoint:
         genes = self.logs.genes(one.at)
-        rise = None if one.here is None else (one.here.value - least) / self.here.noise
+        rise = None if one.here is None else (one.here.cost - least) / self.here.noise
         names = self.space.as_dict(genes)
         return ProfilePoint(float(genes[self.index]), rise, names, one.score)
 
-    def _squares(self, fit: FitJson) -> SquaredSum:
+    def _squares(self, fit: FitJson) -> NormalEquations:
         order = [fit["parameters"].index(name) for name in self.names.inside]
-        return SquaredSum.of(fit, self.logs, order, np.asarray(self.names.per_inside))
-
-
-def _part(space: Space, index: Sequence[int]) -> Space:
-    return Space(
-        tuple(space.names[i] for i in index),
-        tuple(space.lower[i] for i in index),
-        tuple(space.upper[i] for i in index),
-    )
+        return squares_of(fit, self.logs, order, np.asarray(self.names.per_inside))
 
 
 def _crossing(points: Sequence[tuple[float, float]], centre: float) -> float | None:

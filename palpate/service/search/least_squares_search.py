@@ -11,20 +11,11 @@ A generation contains one trial point of each running descent. The search is a f
 generations, see `service.search.search_interface`. A polished search refines the best candidates
 of a genetic search in this way.
 
-A descent is Gauss-Newton with a trust region (Levenberg-Marquardt), as an immutable value.
-Near a point the sum of squares is :math:`c + 2 g's + s'Hs` with g = J'r and H = J'J. Its
-minimum within the bounds and the box of the trust region is found exactly; the region shrinks
-if the step achieved less than a quarter of the predicted reduction, and grows if it achieved
-three quarters (J. Nocedal, S. Wright, Numerical Optimization, 2nd ed., algorithm 4.1).
-In a narrow, curved valley a long step ends on the wall. Before it is rejected, a second step
-from there returns to the floor, and both are judged together.
-
 Parameters are in the coordinates of `service.search.log_coordinates.LogSpace`.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -40,188 +31,13 @@ from palpate.service.search.search_interface import (
 )
 from palpate.storage.errors import InputError
 from palpate.storage.values import FitJson
-
-# The first step changes no constant by more than a factor of two; later ones e^2 at most.
-FIRST_RADIUS, LARGEST_RADIUS, SMALLEST_RADIUS = 0.7, 2.0, 1e-4
-SHRINK_BELOW, GROW_ABOVE = 0.25, 0.75
-# Directions below this fraction of the largest curvature are ignored.
-RIDGE = 1e-9
-# The same for the second step, back from the wall of a valley.
-WALL = 1e-2
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """Smallest predicted reduction of the sum of squares that is worth another step.
-
-    The descent has converged when the prediction is below the larger of the two limits.
-
-    Parameters
-    ----------
-    noises : float
-        Relative to the noise variance: 0.1 is a third of a standard deviation, which the
-        intervals of the constants include.
-    part : float
-        Relative to the sum of squares.
-    """
-
-    noises: float
-    part: float = 0.0
-
-    def least_fall(self, here: "SquaredSum") -> float:
-        """Return the smallest worthwhile reduction at a point."""
-        return max(self.noises * here.noise, self.part * here.value)
-
-
-DescentState = Literal["running", "converged", "failed", "merged"]
-
-
-@dataclass(frozen=True, eq=False)
-class SquaredSum:
-    """The sum of squares at a point: its value, half its gradient, and J'J."""
-
-    value: float
-    gradient: FloatArray
-    hessian: FloatArray
-    residuals: int
-
-    @classmethod
-    def of(
-        cls, fit: FitJson, logs: LogSpace, order: list[int], per_inside: FloatArray
-    ) -> "SquaredSum":
-        """Build the sum of squares of an evaluation, in the coordinates of `logs`.
-
-        Parameters
-        ----------
-        order : list of int
-            Position of each gene in the fit.
-        per_inside : ndarray, shape (d,)
-            External units per internal unit.
-        """
-        scale = np.where(logs.logarithmic, 1.0, logs.width / per_inside)
-        g = np.asarray(fit["gradient"], np.float64)[order] * scale
-        h = np.asarray(fit["hessian"], np.float64)[np.ix_(order, order)] * np.outer(scale, scale)
-        return cls(float(fit["cost"]), g, h, int(fit["residuals"]))
-
-    @property
-    def noise(self) -> float:
-        """Return the ratio of the residual variance to the expected one, at least 1."""
-        return max(1.0, self.value / max(1, self.residuals - len(self.gradient)))
-
-
-@dataclass(frozen=True, eq=False)
-class Descent:
-    """The state of a descent.
-
-    Parameters
-    ----------
-    at : ndarray, shape (d,)
-        The best point so far, or the starting point.
-    here : SquaredSum or None
-        The sum of squares at `at`; None before the first evaluation.
-    trial : ndarray, shape (d,)
-        The next point to evaluate.
-    expected : float
-        Predicted reduction of the sum of squares at `trial`.
-    radius : float
-    state : {"running", "converged", "failed", "merged"}
-    evaluations : int
-    second : bool
-        Whether the trial corrects a step that achieved too little.
-    """
-
-    at: FloatArray
-    here: SquaredSum | None
-    trial: FloatArray
-    expected: float
-    radius: float
-    state: DescentState
-    evaluations: int = 0
-    second: bool = False
-
-    @property
-    def cost(self) -> float:
-        """Return the smallest sum of squares so far; infinite before the first evaluation."""
-        return np.inf if self.here is None else self.here.value
-
-
-def begin_descent(at: FloatArray, radius: float = FIRST_RADIUS) -> Descent:
-    """Return a descent that starts at a point."""
-    return Descent(at, None, at, 0.0, radius, "running")
-
-
-def advance_descent(
-    descent: Descent, there: SquaredSum | None, logs: LogSpace, tolerance: Tolerance, most: int
-) -> Descent:
-    """Return the descent after the evaluation of its trial point.
-
-    Parameters
-    ----------
-    there : SquaredSum or None
-        None if the simulation failed.
-    tolerance : Tolerance
-    most : int
-        Maximum number of evaluations.
-    """
-    counted = replace(descent, evaluations=descent.evaluations + 1)
-    if descent.here is None:
-        if there is None:
-            return replace(counted, state="failed")
-        return _next_descent(replace(counted, here=there), logs, tolerance, most)
-    longest = float(np.abs(descent.trial - descent.at).max())
-    gained = -np.inf if there is None else descent.here.value - there.value
-    share = gained / descent.expected
-    moved = replace(counted, second=False)
-    if there is not None and gained > 0:
-        moved = replace(moved, at=descent.trial, here=there)
-    if there is not None and share < SHRINK_BELOW and not descent.second:
-        if gained > 0:
-            return _next_descent(moved, logs, tolerance, most, second=True)
-        back, fall = best_step(there, descent.trial, descent.radius, logs, WALL)
-        if gained + fall > SHRINK_BELOW * descent.expected and counted.evaluations < most:
-            trial = np.clip(descent.trial + back, logs.lower, logs.upper)
-            return replace(counted, trial=trial, second=True)
-    radius = descent.radius
-    if share < SHRINK_BELOW:
-        radius = SHRINK_BELOW * min(longest, radius)
-    elif share > GROW_ABOVE and (descent.second or longest > 0.99 * radius):
-        radius = min(2 * radius, LARGEST_RADIUS)
-    return _next_descent(replace(moved, radius=radius), logs, tolerance, most)
-
-
-def _next_descent(
-    descent: Descent, logs: LogSpace, tolerance: Tolerance, most: int, second: bool = False
-) -> Descent:
-    here = descent.here
-    if here is None:
-        raise AssertionError("a descent continues from an evaluation")
-    step, expected = best_step(here, descent.at, descent.radius, logs)
-    small = expected < tolerance.least_fall(here) or descent.radius < SMALLEST_RADIUS
-    if small or descent.evaluations >= most:
-        return replace(descent, trial=descent.at, expected=0.0, state="converged")
-    trial = np.clip(descent.at + step, logs.lower, logs.upper)
-    return replace(descent, trial=trial, expected=expected, second=second)
-
-
-def best_step(
-    here: SquaredSum, at: FloatArray, radius: float, logs: LogSpace, part: float = RIDGE
-) -> tuple[FloatArray, float]:
-    """Return the step to the minimum within the trust region, and its predicted reduction.
-
-    Directions below a `part` of the largest curvature are ignored.
-    """
-    from scipy.optimize import lsq_linear  # slow to import, and not needed to read a study
-
-    d = len(at)
-    ridge = part * max(float(np.trace(here.hessian)) / d, 1e-300)
-    root = np.linalg.cholesky(here.hessian + ridge * np.eye(d)).T
-    low = np.maximum(logs.lower - at, -radius)
-    high = np.minimum(logs.upper - at, radius)
-    wanted = -np.linalg.solve(root.T, here.gradient)
-    step = np.asarray(lsq_linear(root, wanted, (low, high), method="bvls").x)
-    fall = -float(2 * here.gradient @ step + step @ here.hessian @ step)
-    return step, max(fall, 0.0)
-
+from palpate.workers.organs.normal_equations import NormalEquations
+from palpate.workers.organs.trust_region_descent import (
+    Descent,
+    Tolerance,
+    advance_descent,
+    begin_descent,
+)
 
 # Starts other than the middle are drawn from this part of the box, where simulations converge.
 START_RANGE = (0.15, 0.85)
@@ -375,7 +191,7 @@ class LeastSquaresSearch:
         for i, fit, genes in zip(running, generation.fits, generation.genes, strict=True):
             there = None if fit is None else self._squares(fit, genes)
             most = self.settings.evaluations
-            descents[i] = advance_descent(descents[i], there, self.logs, tolerance, most)
+            descents[i] = advance_descent(descents[i], there, self.logs.box, tolerance, most)
             if descents[i].state == "failed" and descents[i].evaluations <= NEW_STARTS:
                 descents[i] = self._begun_elsewhere(i, descents[i])
         descents = _merged(descents)
@@ -385,10 +201,10 @@ class LeastSquaresSearch:
             return progress
         return _Progress(progress.level + 1, (begin_descent(best.at, FINER_RADIUS),))
 
-    def _squares(self, fit: FitJson, genes: FloatArray) -> SquaredSum:
+    def _squares(self, fit: FitJson, genes: FloatArray) -> NormalEquations:
         per_inside = np.asarray(self.names.per_inside)
         order = places_in_fit(fit, self.names.inside, genes / per_inside)
-        return SquaredSum.of(fit, self.logs, order, per_inside)
+        return squares_of(fit, self.logs, order, per_inside)
 
     def _reason(self, progress: _Progress) -> str:
         best = progress.best
@@ -397,6 +213,24 @@ class LeastSquaresSearch:
         if best.evaluations >= self.settings.evaluations:
             return f"the fit has not converged in {best.evaluations} evaluations"
         return "no step of the fit promises a smaller sum of squared distances"
+
+
+def squares_of(
+    fit: FitJson, logs: LogSpace, order: list[int], per_inside: FloatArray
+) -> NormalEquations:
+    """Return the normal equations of an evaluation, in the coordinates of `logs`.
+
+    Parameters
+    ----------
+    order : list of int
+        Position of each gene in the fit.
+    per_inside : ndarray, shape (d,)
+        External units per internal unit.
+    """
+    scale = np.where(logs.logarithmic, 1.0, logs.width / per_inside)
+    g = np.asarray(fit["gradient"], np.float64)[order] * scale
+    h = np.asarray(fit["hessian"], np.float64)[np.ix_(order, order)] * np.outer(scale, scale)
+    return NormalEquations(float(fit["cost"]), g, h, int(fit["residuals"]))
 
 
 def places_in_fit(fit: FitJson, names: Sequence[str], values: FloatArray) -> list[int]:

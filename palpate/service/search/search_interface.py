@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from palpate.storage.errors import InputError
 from palpate.storage.values import FitJson
+from palpate.workers.organs.trust_region_descent import Box
 
 FloatArray = NDArray[np.float64]
 
@@ -334,6 +335,11 @@ class LogSpace:
     def upper(self) -> FloatArray:
         """Return the largest coordinates, shape (d,)."""
         return self.coordinates(np.asarray(self.space.upper))
+
+    @property
+    def box(self) -> Box:
+        """Return the smallest and the largest coordinates."""
+        return Box(self.lower, self.upper)
 
     def coordinates(self, genes: FloatArray) -> FloatArray:
         """Return the coordinates of genes, shape (..., d)."""

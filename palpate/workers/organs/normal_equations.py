@@ -11,6 +11,7 @@ Math. Statist. 35 (1964) 73), so that points close to a second interface have le
 found by reweighting; the gradient of c in the parameters is 2 g.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +39,16 @@ class NormalEquations:
     gradient: FloatArray
     hessian: FloatArray
     residuals: int
+
+    @property
+    def noise(self) -> float:
+        """Return the ratio of the residual variance to the expected one, at least 1."""
+        return max(1.0, self.cost / max(1, self.residuals - len(self.gradient)))
+
+    def part(self, index: Sequence[int]) -> "NormalEquations":
+        """Return the equations of some of the parameters, with the others held."""
+        hessian = self.hessian[np.ix_(index, index)]
+        return NormalEquations(self.cost, self.gradient[index], hessian, self.residuals)
 
 
 def normal_equations(

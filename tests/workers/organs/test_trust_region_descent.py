@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 
-from palpate.service.search.least_squares_search import (
-    SquaredSum,
-    Tolerance,
-    advance_descent,
-    begin_descent,
-)
 from palpate.service.search.search_interface import FloatArray, LogSpace, Space
+from palpate.workers.organs.normal_equations import NormalEquations
+from palpate.workers.organs.trust_region_descent import Tolerance, advance_descent, begin_descent
 
 LOGS = LogSpace(Space.from_bounds({"x": (-4, 4), "y": (-4, 16)}))
 TOLERANCE = Tolerance(0.01)
@@ -18,12 +14,12 @@ STEEP = 1e3
 FLOOR = np.array([3.0, 9.0])
 
 
-def valley(at: FloatArray) -> SquaredSum:
+def valley(at: FloatArray) -> NormalEquations:
     x, y = LOGS.genes(at)
     width = LOGS.width
     r = np.array([STEEP * (y - x**2), 10 * (x - FLOOR[0])])
     J = np.array([[-2 * STEEP * x, STEEP], [10.0, 0.0]]) * width
-    return SquaredSum(float(r @ r), J.T @ r, J.T @ J, 1000)
+    return NormalEquations(float(r @ r), J.T @ r, J.T @ J, 1000)
 
 
 @pytest.mark.parametrize("start", [(-2.0, 4.0), (0.5, 6.0), (-3.5, 0.0)])
@@ -32,7 +28,7 @@ def test_descent_follows_a_curved_valley_to_its_minimum(start: tuple[float, floa
     descent = begin_descent(LOGS.coordinates(np.array(start)))
     costs = []
     while descent.state == "running":
-        descent = advance_descent(descent, valley(descent.trial), LOGS, TOLERANCE, 40)
+        descent = advance_descent(descent, valley(descent.trial), LOGS.box, TOLERANCE, 40)
         costs.append(descent.cost)
     assert costs == sorted(costs, reverse=True)
     np.testing.assert_allclose(LOGS.genes(descent.at), FLOOR, atol=0.02)
@@ -40,11 +36,11 @@ def test_descent_follows_a_curved_valley_to_its_minimum(start: tuple[float, floa
 
 def test_rejects_a_second_step_that_fails() -> None:
     descent = begin_descent(LOGS.coordinates(np.array([-2.0, 4.0])))
-    descent = advance_descent(descent, valley(descent.trial), LOGS, TOLERANCE, 40)
-    descent = advance_descent(descent, valley(descent.trial), LOGS, TOLERANCE, 40)
+    descent = advance_descent(descent, valley(descent.trial), LOGS.box, TOLERANCE, 40)
+    descent = advance_descent(descent, valley(descent.trial), LOGS.box, TOLERANCE, 40)
     assert descent.second
     before = descent.at
-    descent = advance_descent(descent, None, LOGS, TOLERANCE, 40)
+    descent = advance_descent(descent, None, LOGS.box, TOLERANCE, 40)
     assert not descent.second
     assert descent.radius < 0.7 / 2
     np.testing.assert_array_equal(descent.at, before)

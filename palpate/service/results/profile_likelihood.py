@@ -14,17 +14,23 @@ import numpy as np
 from palpate.service.cluster.task_dispatch import Dispatcher
 from palpate.service.errors_and_interrupts import TaskError
 from palpate.service.search.least_squares_search import squares_of
-from palpate.service.search.search_interface import FloatArray, LogSpace, Space
+from palpate.service.search.search_interface import FloatArray, LogSpace
 from palpate.service.study.study_folder import StudyLog
 from palpate.service.study.study_keys import StudySpec
 from palpate.service.study.task_requests import StudyWork, Tasks
 from palpate.storage.best_candidate import best_of, minimised
 from palpate.storage.errors import InputError
 from palpate.storage.store import open_store
-from palpate.storage.values import EvaluationResult, FitJson
+from palpate.storage.values import FitJson
 from palpate.workers.mechanics.model_parameters import unknown_name
 from palpate.workers.organs.normal_equations import NormalEquations
-from palpate.workers.organs.trust_region_descent import Box, best_step
+from palpate.workers.organs.trust_region_descent import (
+    Descent,
+    Tolerance,
+    advance_descent,
+    begin_descent,
+    with_held,
+)
 
 # The 90 % quantile of chi-squared with one degree of freedom.
 CHI2_90 = 2.706
@@ -32,7 +38,7 @@ CHI2_90 = 2.706
 REACH = 3.0
 ROUNDS = 3
 # Steps with a smaller predicted reduction are skipped, in units of the noise.
-SMALL = 0.02
+TOLERANCE = Tolerance(0.02)
 
 
 @dataclass(frozen=True)
@@ -77,17 +83,6 @@ class Profile:
     upper: float | None
 
 
-@dataclass
-class _Held:
-    """A held value: the next trial of the other constants, and their best values so far."""
-
-    trial: FloatArray
-    at: FloatArray
-    here: NormalEquations | None = None
-    score: float | None = None
-    done: bool = False
-
-
 def profile_of(
     spec: StudySpec, log: StudyLog, tasks: Tasks, dispatcher: Dispatcher, gene: str, count: int
 ) -> Profile:
@@ -113,13 +108,12 @@ def profile_of(
             else "it has not ended yet"
         )
         raise InputError(f"The study {spec.name} has no derivatives to start a profile: {why}.")
-    space = spec.search.space
     index = _index(spec, gene)
     work = StudyWork(
         spec, tasks, open_store(session.store), dispatcher, session.prepared,
         session.target["target"],
     )  # fmt: skip
-    return _Profiler(spec, work, best.genes, derivatives.fit, index).run(space, count)
+    return _Profiler(spec, work, best.genes, derivatives.fit, index).run(count)
 
 
 class _Profiler:
@@ -134,19 +128,20 @@ class _Profiler:
         self.here = self._squares(fit)
         self.others = [i for i in range(self.space.dimension) if i != index]
 
-    def run(self, space: Space, count: int) -> Profile:
-        begin = [self._expected(value) for value in self._values(count)]
-        held = [_Held(start, start) for start in begin]
+    def run(self, count: int) -> Profile:
+        values, box = self._values(count), self.logs.box
+        starts = [with_held(self.here, self.at, self.index, v, REACH, box) for v in values]
+        descents = [begin_descent(at[self.others], REACH) for at in starts]
+        scores: list[float | None] = [None] * count
         for _ in range(ROUNDS):
-            waiting = [refit for refit in held if not refit.done]
-            self._evaluate(waiting)
-        least = min([self.here.cost] + [h.here.cost for h in held if h.here is not None])
-        points = tuple(self._point(refit, least) for refit in held)
+            self._advance(values, descents, scores)
+        least = min(self.here.cost, *(descent.cost for descent in descents))
+        points = tuple(map(self._point, values, descents, scores, [least] * count))
         known = [(p.value, p.rise) for p in points if p.rise is not None]
         centre = float(self.logs.genes(self.at)[self.index])
         lower = _crossing([(v, r) for v, r in known if v <= centre][::-1], centre)
         upper = _crossing([(v, r) for v, r in known if v >= centre], centre)
-        return Profile(space.names[self.index], points, lower, upper)
+        return Profile(self.space.names[self.index], points, lower, upper)
 
     def _values(self, count: int) -> FloatArray:
         """Return the coordinates at which the constant is held, shape (count,)."""
@@ -157,56 +152,36 @@ class _Profiler:
         high = min(self.logs.upper[i], self.at[i] + REACH * sd)
         return np.linspace(low, high, count)
 
-    def _expected(self, value: float) -> FloatArray:
-        """Return the other constants as predicted by the derivatives at the best candidate."""
-        at = self.at.copy()
-        at[self.index] = value
-        if self.others:
-            o, i = self.others, self.index
-            pull = self.here.gradient[o] + self.here.hessian[o, i] * (value - self.at[i])
-            at[o] -= np.linalg.pinv(self.here.hessian[np.ix_(o, o)]) @ pull
-        return np.clip(at, self.logs.lower, self.logs.upper)
-
-    def _evaluate(self, held: Sequence[_Held]) -> None:
-        """Evaluate the trial of each value, then step from the best point so far."""
-        trials = {k: one.trial for k, one in enumerate(held)}
+    def _advance(
+        self, values: FloatArray, descents: list[Descent], scores: list[float | None]
+    ) -> None:
+        """Evaluate the trial of each running descent, and the scores of its best points."""
+        box = self.logs.box.part(self.others)
         calls = [
-            (k, (self.work.request(self.space.as_dict(self.logs.genes(at)), derivatives=True),))
-            for k, at in trials.items()
+            (k, (self.work.request(self._genes(values[k], descent.trial), derivatives=True),))
+            for k, descent in enumerate(descents)
+            if descent.state == "running"
         ]
         for ending in self.work.dispatcher.run(self.work.tasks.evaluate, calls):
             if ending.kind == "lost":
                 raise TaskError(f"a worker was lost: {ending.reason}. Run the same command again.")
-            self._take(held[ending.key], ending.value)
+            k, result = ending.key, ending.value or {}
+            fit, score, before = result.get("fit"), result.get("score"), descents[k]
+            there = None if fit is None else self._squares(fit).part(self.others)
+            descents[k] = advance_descent(before, there, box, TOLERANCE, ROUNDS)
+            if descents[k].cost < before.cost:
+                scores[k] = None if score is None else minimised(score)
 
-    def _take(self, one: _Held, result: EvaluationResult | None) -> None:
-        fit = None if result is None else result.get("fit")
-        if fit is None or result is None:
-            one.done = True
-            return
-        there = self._squares(fit)
-        if one.here is not None and there.cost >= one.here.cost:
-            one.done = True
-            return
-        score = result.get("score")
-        one.at, one.here = one.trial, there
-        one.score = None if score is None else minimised(score)
-        one.done = not self.others
-        if one.done:
-            return
-        o = self.others
-        box = Box(self.logs.lower[o], self.logs.upper[o])
-        step, fall = best_step(there.part(o), one.at[o], REACH, box)
-        one.done = fall < SMALL * there.noise
-        if not one.done:
-            one.trial = one.at.copy()
-            one.trial[o] += step
+    def _genes(self, value: float, others: FloatArray) -> dict[str, float]:
+        """Return all constants, in external units, given the coordinates."""
+        return self.space.as_dict(self.logs.genes(np.insert(others, self.index, value)))
 
-    def _point(self, one: _Held, least: float) -> ProfilePoint:
-        genes = self.logs.genes(one.at)
-        rise = None if one.here is None else (one.here.cost - least) / self.here.noise
-        names = self.space.as_dict(genes)
-        return ProfilePoint(float(genes[self.index]), rise, names, one.score)
+    def _point(
+        self, value: float, descent: Descent, score: float | None, least: float
+    ) -> ProfilePoint:
+        genes = self._genes(value, descent.at)
+        rise = None if descent.here is None else (descent.cost - least) / self.here.noise
+        return ProfilePoint(genes[self.space.names[self.index]], rise, genes, score)
 
     def _squares(self, fit: FitJson) -> NormalEquations:
         order = [fit["parameters"].index(name) for name in self.names.inside]

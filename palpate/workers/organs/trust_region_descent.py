@@ -8,6 +8,7 @@ Optimization, 2nd ed., algorithm 4.1). In a narrow, curved valley a long step en
 Before it is rejected, a second step from there returns to the floor, and both are judged together.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -54,6 +55,10 @@ class Box(NamedTuple):
     lower: FloatArray
     upper: FloatArray
 
+    def part(self, index: Sequence[int]) -> "Box":
+        """Return the box of some of the coordinates."""
+        return Box(self.lower[index], self.upper[index])
+
 
 DescentState = Literal["running", "converged", "failed", "merged"]
 
@@ -97,6 +102,20 @@ class Descent:
 def begin_descent(at: FloatArray, radius: float = FIRST_RADIUS) -> Descent:
     """Return a descent that starts at a point."""
     return Descent(at, None, at, 0.0, radius, "running")
+
+
+def descend(
+    equations: Callable[[FloatArray], NormalEquations | None],
+    start: FloatArray,
+    box: Box,
+    tolerance: Tolerance,
+    most: int,
+) -> Descent:
+    """Return the descent from a point to its end, with each trial evaluated by `equations`."""
+    descent = begin_descent(start)
+    while descent.state == "running":
+        descent = advance_descent(descent, equations(descent.trial), box, tolerance, most)
+    return descent
 
 
 def advance_descent(
@@ -162,6 +181,8 @@ def best_step(
     from scipy.optimize import lsq_linear  # slow to import, and not needed to read a study
 
     d = len(at)
+    if d == 0:
+        return np.zeros(0), 0.0
     ridge = part * max(float(np.trace(here.hessian)) / d, 1e-300)
     root = np.linalg.cholesky(here.hessian + ridge * np.eye(d)).T
     low = np.maximum(box.lower - at, -radius)
@@ -170,3 +191,16 @@ def best_step(
     step = np.asarray(lsq_linear(root, wanted, (low, high), method="bvls").x)
     fall = -float(2 * here.gradient @ step + step @ here.hessian @ step)
     return step, max(fall, 0.0)
+
+
+def with_held(
+    here: NormalEquations, at: FloatArray, index: int, value: float, radius: float, box: Box
+) -> FloatArray:
+    """Hold one coordinate at a value, and predict the best values of the others by derivatives."""
+    others = [i for i in range(len(at)) if i != index]
+    predicted = at.copy()
+    predicted[index] = value
+    gradient = here.gradient + here.hessian[:, index] * (value - at[index])
+    part = replace(here, gradient=gradient).part(others)
+    predicted[others] += best_step(part, at[others], radius, box.part(others))[0]
+    return predicted

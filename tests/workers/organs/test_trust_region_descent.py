@@ -5,7 +5,13 @@ import pytest
 
 from palpate.service.search.search_interface import FloatArray, LogSpace, Space
 from palpate.workers.organs.normal_equations import NormalEquations
-from palpate.workers.organs.trust_region_descent import Tolerance, advance_descent, begin_descent
+from palpate.workers.organs.trust_region_descent import (
+    Tolerance,
+    advance_descent,
+    begin_descent,
+    descend,
+    with_held,
+)
 
 LOGS = LogSpace(Space.from_bounds({"x": (-4, 4), "y": (-4, 16)}))
 TOLERANCE = Tolerance(0.01)
@@ -44,3 +50,14 @@ def test_rejects_a_second_step_that_fails() -> None:
     assert not descent.second
     assert descent.radius < 0.7 / 2
     np.testing.assert_array_equal(descent.at, before)
+
+
+def test_others_follow_a_held_coordinate() -> None:
+    """Held at x, the best y is on the floor; a descent of no coordinates ends at once."""
+    at = LOGS.coordinates(np.array([2.0, 4.0]))
+    held = float(LOGS.coordinates(np.array([2.1, 0.0]))[0])
+    predicted = LOGS.genes(with_held(valley(at), at, 0, held, 1.0, LOGS.box))
+    np.testing.assert_allclose(predicted, [2.1, 4.4], atol=1e-3)
+    box = LOGS.box.part([])
+    end = descend(lambda _: valley(at).part([]), np.zeros(0), box, TOLERANCE, 3)
+    assert (end.state, end.evaluations) == ("converged", 1)

@@ -4,9 +4,10 @@ The profile of a constant shows how far the other constants compensate for its e
 
 For the error due to the mesh, the eye is solved again with its constants on a mesh of `MESH_TIMES`
 as many elements, and the constants are refitted to that contour on the study's own mesh. Their
-change is the part of the study's constants that compensates for its mesh. The fit follows the
-curved valley of the sum of squares, unlike a single Gauss step, which gives 22 % where 1.0 % is
-correct (eye 3 of Table 5.2, 240 elements; the fit: 1.0 %).
+change is the part of the study's constants that compensates for its mesh.
+
+Both refits are descents on the residuals of a fit (`workers.organs.trust_region_descent`), which
+follow the curved valley of the sum of squares, unlike a single Gauss step.
 
 `derived` and `against` decide which values may be quoted; `notes` says it in sentences.
 """
@@ -14,7 +15,7 @@ correct (eye 3 of Table 5.2, 240 elements; the fit: 1.0 %).
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +29,7 @@ from palpate.workers.organs.cornea.cornea_problem import (
 )
 from palpate.workers.organs.cornea.corneal_model import CorneaConstants
 from palpate.workers.organs.cornea.identifiability import (
-    FittedContour,
-    fitted_contour,
+    law_names,
     shear_modulus_slope,
     stepped,
     stress_slope,
@@ -37,14 +37,22 @@ from palpate.workers.organs.cornea.identifiability import (
 )
 from palpate.workers.organs.cornea.prestressed_equilibrium import solve_prepared
 from palpate.workers.organs.cornea.section_comparison import (
+    CandidateOf,
     SurfaceObservation,
     fit_surfaces,
     observe_surfaces,
 )
 from palpate.workers.organs.cornea.section_mesh import deformed_section, mesh_section
-from palpate.workers.organs.cornea.section_outline import Section
+from palpate.workers.organs.cornea.section_outline import Section, cropped_section
 from palpate.workers.organs.normal_equations import NormalEquations
 from palpate.workers.organs.organ_protocol import logarithmic
+from palpate.workers.organs.trust_region_descent import (
+    FIRST_RADIUS,
+    Box,
+    Tolerance,
+    descend,
+    with_held,
+)
 
 NOT_MEASURED = {
     "iop": "the pressure of the eye",
@@ -157,11 +165,11 @@ def _plain(name: str) -> str:
     return name.removesuffix("_mpa")
 
 
-# Gauss-Newton steps of the others at every value, each starting from the previous value.
-PROFILE_STEPS = 3
-# Directions that move the contour by less than this fraction of the strongest are not changed.
-PROFILE_CUTOFF = 1e-5
-LARGEST_PROFILE_STEP = 0.5
+# A refit ends when a step promises less than this, or after so many evaluations.
+REFIT_TOLERANCE = Tolerance(1.0, part=0.01)
+REFIT_EVALUATIONS = 20
+# The other constants stay within this logarithm of their fitted values.
+PROFILE_REACH = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +193,7 @@ class Profile:
 
 def profile_of(
     candidate: Candidate,
-    fitted: FittedContour,
+    displacement_mm: FloatArray,
     name: str,
     logarithms: FloatArray,
     window_mm: tuple[float, float] | None = None,
@@ -196,80 +204,66 @@ def profile_of(
     ----------
     candidate : Candidate
         The fitted candidate; its own contour is the data, so only the constants differ.
-    fitted : FittedContour
-        Contour of the candidate.
+    displacement_mm : ndarray, shape (n, 2)
+        Displacement of the candidate.
     name : str
         Name of the constant.
     logarithms : ndarray
         Logarithms of the factors, ascending; zero is the fit itself.
     window_mm : tuple of float, optional
-        As for `fitted_contour`.
+        The part of the contour that the image shows.
     """
+    names, mesh = law_names(candidate.constants), candidate.prepared.mesh
+    index = names.index(name)
+    others = [i for i in range(len(names)) if i != index]
+    x = mesh.nodes_mm + displacement_mm
+    contour = Section(anterior_mm=x[mesh.anterior], posterior_mm=x[mesh.posterior])
+    shown = contour if window_mm is None else cropped_section(contour, *window_mm)
+    observation = observe_surfaces(mesh, shown, imaged=False)
+    # Factors of the constants; all are positive.
+    box = Box(np.full(len(names), -PROFILE_REACH), np.full(len(names), PROFILE_REACH))
+    free: list[FreeParameter] = [
+        {"name": n, "lower": float(np.exp(low)), "upper": float(np.exp(high))}
+        for n, low, high in zip(names, *box, strict=True)
+    ]
+
+    def candidate_at(factors: Mapping[str, float]) -> Candidate:
+        return stepped(candidate, {n: float(np.log(factor)) for n, factor in factors.items()})
+
+    equations = _equations(candidate_at, {}, free, observation)
+
+    def refitted(before: FloatArray, held: float) -> tuple[FloatArray, float] | None:
+        here = equations(before)
+        if here is None:
+            return None
+        at = with_held(here, before, index, held, FIRST_RADIUS, box)
+
+        def of_others(trial: FloatArray) -> NormalEquations | None:
+            at[others] = trial
+            there = equations(at)
+            return None if there is None else there.part(others)
+
+        end = descend(of_others, at[others], box.part(others), REFIT_TOLERANCE, REFIT_EVALUATIONS)
+        at[others] = end.at
+        return None if end.here is None else (at, end.here.cost)
+
     misfit = np.full(len(logarithms), np.nan)
     for side in (1, -1):
-        state: _ProfilePoint | None = _ProfilePoint(dict.fromkeys(fitted.names, 0.0), fitted, 0.0)
-        places = [i for i in np.argsort(np.abs(logarithms)) if side * logarithms[i] >= 0]
-        for i in places:
-            assert state is not None
-            state = _next_profile_point(
-                candidate, fitted, name, float(logarithms[i]), state, window_mm
-            )
-            if state is None:
+        at = np.zeros(len(names))
+        for i in np.argsort(np.abs(logarithms)):
+            if side * logarithms[i] < 0:
+                continue
+            refit = refitted(at, float(logarithms[i]))
+            if refit is None:
                 break
-            misfit[i] = state.misfit_um
+            at, cost = refit
+            misfit[i] = 1e3 * np.sqrt(cost / (observation.weight @ observation.weight))
     return Profile(name, np.exp(logarithms), misfit)
-
-
-class _ProfilePoint(NamedTuple):
-    """Logarithms of the factors of all constants, the contour there, and its misfit."""
-
-    at: dict[str, float]
-    contour: FittedContour
-    misfit_um: float
-
-
-def _next_profile_point(
-    candidate: Candidate,
-    fitted: FittedContour,
-    name: str,
-    held: float,
-    state: _ProfilePoint,
-    window_mm: tuple[float, float] | None,
-) -> _ProfilePoint | None:
-    """Hold a constant at a new value and refit the others, starting from their last values."""
-    weight = np.sqrt(fitted.length_mm / fitted.length_mm.sum())
-    best: _ProfilePoint | None = None
-    for _ in range(1 + PROFILE_STEPS):
-        start = best or state
-        gap = 1e3 * ((start.contour.position_mm - fitted.position_mm) * fitted.normal).sum(axis=1)
-        free = [k for k, other in enumerate(fitted.names) if other != name]
-        ahead = held - start.at[name]
-        wanted = gap + ahead * start.contour.shift_um[:, fitted.names.index(name)]
-        columns = weight[:, None] * start.contour.shift_um[:, free]
-        step = np.linalg.lstsq(columns, -weight * wanted, rcond=PROFILE_CUTOFF)[0]
-        step *= min(1.0, LARGEST_PROFILE_STEP / max(float(np.abs(step).max()), 1e-12))
-        logarithms = start.at | {name: held}
-        for k, ds in zip(free, step, strict=True):
-            logarithms[fitted.names[k]] += float(ds)
-        contour = fitted_contour(stepped(candidate, logarithms), window_mm)
-        if contour is None:
-            break
-        off = 1e3 * ((contour.position_mm - fitted.position_mm) * fitted.normal).sum(axis=1)
-        misfit = float(np.linalg.norm(weight * off))
-        if best is not None and misfit >= best.misfit_um:
-            break
-        best = _ProfilePoint(logarithms, contour, misfit)
-    return best
 
 
 MESH_TIMES = 4
 # The error falls with the square of the element size, so this fraction of it is observed.
 PART_SEEN = 1 - 1 / MESH_TIMES
-REFIT_EVALUATIONS = 10
-LARGEST_REFIT_STEP = 0.7
-FIRST_DAMPING, DAMPING_FACTOR = 1e-6, 10.0
-# The fit stops when a step gains less than this fraction of the sum of squares.
-LEAST_GAIN = 0.02
 
 
 def refitted_constants(
@@ -303,31 +297,40 @@ def refitted_constants(
     finer = _on_finer_mesh(case, body, constants, middle_mm)
     if finer is None:
         return None
+    observation = observe_surfaces(model.mesh, finer, imaged=False)
     logs = [p for p in free if logarithmic(p)]
 
     def candidate_at(values: Mapping[str, float]) -> Candidate:
         return candidate_of(model, case, values, middle_mm)
 
-    def equations(values: Mapping[str, float]) -> NormalEquations | None:
-        found = fit_surfaces(candidate_at, values, logs, observation).residuals
-        return None if found is None else found.equations
+    equations = _equations(candidate_at, constants, logs, observation)
+    box = Box(np.log([p["lower"] for p in logs]), np.log([p["upper"] for p in logs]))
+    start = np.log([constants[p["name"]] for p in logs])
+    end = descend(equations, start, box, REFIT_TOLERANCE, REFIT_EVALUATIONS)
+    return None if end.here is None else _with_logarithms(constants, logs, end.at)
 
-    observation: SurfaceObservation = observe_surfaces(model.mesh, finer, imaged=False)
-    estimate, here = dict(constants), equations(constants)
-    if here is None:
-        return None
-    damping = FIRST_DAMPING
-    for _ in range(REFIT_EVALUATIONS):
-        ahead = _stepped_constants(estimate, logs, _refit_step(here, damping))
-        there = equations(ahead)
-        if there is None or there.cost >= here.cost:
-            damping *= DAMPING_FACTOR
-            continue
-        gained, estimate, here = here.cost - there.cost, ahead, there
-        damping /= DAMPING_FACTOR
-        if gained < LEAST_GAIN * here.cost:
-            break
-    return estimate
+
+def _equations(
+    candidate_at: CandidateOf,
+    constants: Mapping[str, float],
+    free: Sequence[FreeParameter],
+    observation: SurfaceObservation,
+) -> Callable[[FloatArray], NormalEquations | None]:
+    """Return the normal equations of a contour as a function of logarithms; None if diverged."""
+
+    def equations(logarithms: FloatArray) -> NormalEquations | None:
+        values = _with_logarithms(constants, free, logarithms)
+        residuals = fit_surfaces(candidate_at, values, free, observation).residuals
+        return None if residuals is None else residuals.equations
+
+    return equations
+
+
+def _with_logarithms(
+    constants: Mapping[str, float], free: Sequence[FreeParameter], logarithms: FloatArray
+) -> dict[str, float]:
+    names = [p["name"] for p in free]
+    return {**constants, **dict(zip(names, np.exp(logarithms).tolist(), strict=True))}
 
 
 def _on_finer_mesh(
@@ -340,22 +343,6 @@ def _on_finer_mesh(
     if not solution.converged:
         return None
     return deformed_section(body, mesh, solution.displacement_mm)
-
-
-def _refit_step(here: NormalEquations, damping: float) -> FloatArray:
-    count = len(here.gradient)
-    damped = here.hessian + damping * np.trace(here.hessian) / count * np.eye(count)
-    step = -np.linalg.solve(damped, here.gradient)
-    return np.asarray(step * min(1.0, LARGEST_REFIT_STEP / max(float(np.abs(step).max()), 1e-12)))
-
-
-def _stepped_constants(
-    at: Mapping[str, float], free: Sequence[FreeParameter], step: FloatArray
-) -> dict[str, float]:
-    moved = dict(at)
-    for p, by in zip(free, step, strict=True):
-        moved[p["name"]] = float(np.clip(at[p["name"]] * np.exp(by), p["lower"], p["upper"]))
-    return moved
 
 
 # Standard deviation of a shift due to the mesh, relative to it. With a half, 90 % of the intervals

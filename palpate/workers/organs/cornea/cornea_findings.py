@@ -386,7 +386,7 @@ def findings(
         best = numbers["stress_curve"]["best_known_stretch"]
         numbers["assumptions"] = _assumptions(eye, result.derivatives[k:], best)
     if case.findings.profiles:
-        numbers["profiles"] = _profiles(eye, score)
+        numbers["profiles"] = _profiles(candidate, result.solution.displacement_mm, score)
     numbers["not_measured"] = list(case.findings.not_measured)
     moved = (
         None if body is None else refitted_constants(model, case, body, constants, middle_mm, free)
@@ -505,10 +505,12 @@ def _assumptions(eye: FittedEye, others: FloatArray, stretch: float) -> dict[str
     return changed
 
 
-def _profiles(eye: FittedEye, score: CorneaScore) -> Sequence[dict[str, Any]]:
-    found = []
-    for name in eye.information.names:
-        profile = profile_of(eye.candidate, eye.contour, name, PROFILE_LOGARITHMS, score.window_mm)
+def _profiles(
+    candidate: Candidate, displacement_mm: FloatArray, score: CorneaScore
+) -> Sequence[dict[str, Any]]:
+    profiles = []
+    for name in law_names(candidate.constants):
+        profile = profile_of(candidate, displacement_mm, name, PROFILE_LOGARITHMS, score.window_mm)
         misfit = [None if np.isnan(m) else float(m) for m in profile.misfit_um]
-        found.append({"name": name, "factor": profile.factor.tolist(), "misfit_um": misfit})
-    return found
+        profiles.append({"name": name, "factor": profile.factor.tolist(), "misfit_um": misfit})
+    return profiles

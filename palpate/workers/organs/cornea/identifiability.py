@@ -111,8 +111,8 @@ class FittedContour:
     Parameters
     ----------
     names : tuple of str
-    position_mm, normal : ndarray, shape (n, 2)
-        Of the deformed nodes on both surfaces.
+    normal : ndarray, shape (n, 2)
+        At the deformed nodes on both surfaces.
     length_mm : ndarray, shape (n,)
         Length of contour represented by each node; zero outside the window.
     shift_um : ndarray, shape (n, k)
@@ -120,7 +120,6 @@ class FittedContour:
     """
 
     names: tuple[str, ...]
-    position_mm: FloatArray
     normal: FloatArray
     length_mm: FloatArray
     shift_um: FloatArray
@@ -155,7 +154,7 @@ def contour_of(
     mesh = candidate.prepared.mesh
     scale = np.array([scale_of(candidate, name) for name in names])
     x = mesh.nodes_mm + result.solution.displacement_mm
-    positions, normals, lengths, shifts = [], [], [], []
+    normals, lengths, shifts = [], [], []
     for surface in (mesh.anterior, mesh.posterior):
         points = x[surface]
         tangent = np.gradient(points, axis=0)
@@ -165,16 +164,11 @@ def contour_of(
         if window_mm is not None:
             length = length * ((points[:, 0] > window_mm[0]) & (points[:, 0] < window_mm[1]))
         along = np.einsum("kni,ni->nk", result.derivatives[:, surface], normal)
-        positions.append(points)
         normals.append(normal)
         lengths.append(length)
         shifts.append(1e3 * along * scale)
     return FittedContour(
-        names,
-        np.concatenate(positions),
-        np.concatenate(normals),
-        np.concatenate(lengths),
-        np.concatenate(shifts),
+        names, np.concatenate(normals), np.concatenate(lengths), np.concatenate(shifts)
     )
 
 

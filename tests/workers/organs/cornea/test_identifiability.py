@@ -27,6 +27,7 @@ from palpate.workers.organs.cornea.identifiability import (
     stress_curve,
     uniaxial_stress_mpa,
 )
+from palpate.workers.organs.cornea.prestressed_equilibrium import solve_prepared
 from palpate.workers.organs.cornea.section_mesh import mesh_section
 from palpate.workers.organs.cornea.section_outline import generated_section
 
@@ -116,11 +117,20 @@ def test_profile_is_below_the_misfit_without_refitting() -> None:
     contour = fitted_contour(small)
     assert contour is not None
     steps = np.array([-0.02, 0.0, 0.02])
-    profile = profile_of(small, contour, "mu2_mpa", steps)
+    solution = solve_prepared(small.prepared, small.constants, small.load)
+    profile = profile_of(small, solution.displacement_mm, "mu2_mpa", steps)
     assert profile.misfit_um[1] == pytest.approx(0.0, abs=1e-3)
     mm = contour.length_mm / contour.length_mm.sum()
     alone = 0.02 * np.sqrt(mm @ contour.shift_um[:, 2] ** 2)
     assert (profile.misfit_um[[0, 2]] < 0.02 * alone).all()
+
+
+def test_profile_follows_the_valley() -> None:
+    """A far value of alpha2 is no worse than its bound, beyond which the model is not linear."""
+    small = eye(240, X1.constants)
+    solution = solve_prepared(small.prepared, small.constants, small.load)
+    profile = profile_of(small, solution.displacement_mm, "alpha2", np.log([1.0, 1.1, 1.4]))
+    assert (profile.misfit_um < 0.05).all()
 
 
 def test_step_of_the_logarithm_multiplies_a_constant() -> None:

@@ -30,6 +30,7 @@ from palpate.workers.organs.cornea.cornea_problem import (
 from palpate.workers.organs.cornea.corneal_model import CorneaConstants
 from palpate.workers.organs.cornea.identifiability import (
     law_names,
+    plain_name,
     shear_modulus_slope,
     stepped,
     stress_slope,
@@ -129,7 +130,7 @@ def _constants(numbers: Mapping[str, Any]) -> str:
     text += "than 1 µm when they grow by a factor of e. "
     if len(loose) == len(bounds):
         return text + "No single constant is known to better than half its value."
-    known = ", ".join(_plain(name) for name in bounds if name not in loose)
+    known = ", ".join(plain_name(name) for name in bounds if name not in loose)
     return text + f"Only these constants are known to better than half their value: {known}."
 
 
@@ -140,7 +141,9 @@ def _several(numbers: Mapping[str, Any]) -> list[str]:
     )
     if several is None:
         return []
-    gains = ", ".join(f"{_plain(name)} {repeated[name] / several[name]:.1f}" for name in several)
+    gains = ", ".join(
+        f"{plain_name(name)} {repeated[name] / several[name]:.1f}" for name in several
+    )
     count = len(numbers["jet_fractions"])
     return [
         f"{count} frames of one puff, at {count} pressures of the jet, would determine the "
@@ -159,10 +162,6 @@ def _order(case: CorneaCase) -> str:
         "Swapping the two terms of the law does not change the cornea. They are sorted by "
         f"{by} in ascending order, so that constants of several eyes can be compared."
     )
-
-
-def _plain(name: str) -> str:
-    return name.removesuffix("_mpa")
 
 
 # A refit ends when a step promises less than this, or after so many evaluations.
@@ -379,7 +378,7 @@ def derived(
             return None
         return float(np.log(value(refitted) / value(constants)) / PART_SEEN)
 
-    assumed, names = _assumed(numbers), [n.removesuffix("_mpa") for n in numbers["constants"]]
+    assumed, names = _assumed(numbers), [plain_name(n) for n in numbers["constants"]]
     quantities: list[dict[str, Any]] = [
         {
             "name": "G0",
@@ -436,7 +435,7 @@ def against(numbers: Mapping[str, Any]) -> dict[str, list[str]]:
     for name, bound in bounds.items():
         loose = bound > UNKNOWN_FROM
         clause = f"errors of model and image of {noise} leave it uncertain by more than half"
-        found[name.removesuffix("_mpa")] = [*_assumed(numbers), *([clause] if loose else [])]
+        found[plain_name(name)] = [*_assumed(numbers), *([clause] if loose else [])]
     return found
 
 

@@ -50,6 +50,7 @@ from palpate.workers.organs.cornea.identifiability import (
     information_of_pressures,
     law_names,
     pixel_rounding,
+    plain_name,
     shear_modulus_bound,
     shear_modulus_slope,
     stress_curve,
@@ -261,7 +262,7 @@ def _stress_chart(
 def _singular_value_chart(numbers: Mapping[str, Any]) -> DescribedFigure:
     labels = [
         "\n".join(
-            f"{_plain(name)} {part:+.2f}"
+            f"{plain_name(name)} {part:+.2f}"
             for name, part in zip(numbers["constants"], direction, strict=True)
             if abs(part) > LEAST_PART
         )
@@ -285,7 +286,7 @@ def _bound_chart(numbers: Mapping[str, Any]) -> DescribedFigure:
         series[several] = numbers["bounds_of_several_pressures"]
     shown, axes = _chart_axes("", "relative error, %")
     percents = {title: [100 * v for v in errors.values()] for title, errors in series.items()}
-    _draw_marks(axes, percents, [_plain(name) for name in numbers["constants"]])
+    _draw_marks(axes, percents, [plain_name(name) for name in numbers["constants"]])
     axes.legend(frameon=False, fontsize=SMALL_PT, loc="lower left", bbox_to_anchor=(0, 1), ncols=2)
     return shown, ("Uncertainty of each constant: Cramer-Rao bounds, one standard deviation.")
 
@@ -294,7 +295,7 @@ def _profile_chart(profiles: Sequence[Mapping[str, Any]]) -> DescribedFigure:
     shown, axes = _chart_axes("held value over fitted value", "misfit, µm")
     for profile, colour in zip(profiles, CHART_COLOURS, strict=False):
         y = [np.nan if value is None else value for value in profile["misfit_um"]]
-        axes.plot(profile["factor"], y, "o-", color=colour, label=_plain(profile["name"]))
+        axes.plot(profile["factor"], y, "o-", color=colour, label=plain_name(profile["name"]))
     axes.legend(frameon=False, fontsize=SMALL_PT)
     return shown, (
         "Smallest misfit of the contour with one constant held at a multiple of its fitted value "
@@ -309,10 +310,6 @@ def _draw_marks(axes: Axes, series: Mapping[str, Sequence[float]], names: Sequen
     axes.set_yscale("log")
     axes.set_xticks(range(len(names)), names, fontsize=SMALL_PT)
     axes.set_xlim(-0.5, len(names) - 0.5)
-
-
-def _plain(name: str) -> str:
-    return name.removesuffix("_mpa")
 
 
 # The curve is drawn from rest to this fraction beyond the largest stretch.
@@ -489,7 +486,8 @@ def _assumptions(eye: FittedEye, others: FloatArray, stretch: float) -> dict[str
     candidate, contour = eye.candidate, eye.contour
     weight = contour.length_mm / (MODEL_ERROR.correlation_mm * MODEL_ERROR.sd_um**2)
     J = contour.shift_um
-    inner = np.linalg.inv(J.T @ (weight[:, None] * J) + np.eye(J.shape[1]) / PRIOR_SD**2)
+    fisher = eye.information.fisher(MODEL_ERROR)
+    inner = np.linalg.inv(fisher + np.eye(len(fisher)) / PRIOR_SD**2)
     mesh = candidate.prepared.mesh
     nodes = np.concatenate([mesh.anterior, mesh.posterior])
     changed = {}

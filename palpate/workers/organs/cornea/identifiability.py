@@ -22,8 +22,6 @@ from palpate.workers.organs.cornea.corneal_model import CorneaConstants
 from palpate.workers.organs.cornea.prestressed_equilibrium import Sensitivity, sensitivity
 from palpate.workers.organs.cornea.section_outline import arclength_mm
 
-# Two-sided quantile of the normal distribution.
-NORMAL_95 = 1.960
 # A direction of the constants that moves nothing has no bound; this keeps it finite.
 SMALLEST_INFORMATION = 1e-12
 
@@ -87,10 +85,13 @@ class Information:
         """Return the corresponding steps in the logarithms of the constants, by row."""
         return np.asarray(np.linalg.eigh(self.gram_um2_mm)[1].T[::-1])
 
+    def fisher(self, noise: ContourNoise) -> FloatArray:
+        """Return the Fisher information about the logarithms."""
+        return np.asarray(self.gram_um2_mm / (noise.correlation_mm * noise.sd_um**2))
+
     def covariance(self, noise: ContourNoise) -> FloatArray:
         """Return the Cramer-Rao bound of the covariance of the logarithms."""
-        fisher = self.gram_um2_mm / (noise.correlation_mm * noise.sd_um**2)
-        values, vectors = np.linalg.eigh(fisher)
+        values, vectors = np.linalg.eigh(self.fisher(noise))
         values = np.maximum(values, SMALLEST_INFORMATION * values[-1])
         return np.asarray((vectors / values) @ vectors.T)
 
@@ -127,6 +128,11 @@ class FittedContour:
     def gram(self) -> FloatArray:
         """Return the integral of the products of the shifts, shape (k, k)."""
         return np.asarray(self.shift_um.T @ (self.length_mm[:, None] * self.shift_um))
+
+
+def plain_name(name: str) -> str:
+    """Return the internal name of a constant of `law_names`: mu1 of mu1_mpa."""
+    return name.removesuffix("_mpa")
 
 
 def law_names(constants: CorneaConstants) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ service show its answer in the same words.
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeVar
 
@@ -149,7 +149,7 @@ _ENDING = re.compile(r"(\D+?),? \(?([−\d][^\s()]*(?: to [−\d]\S*)?(?: [^\s\d
 
 
 def names_by_reason(answers: Mapping[N, Quotability]) -> list[tuple[list[tuple[N, str]], str]]:
-    """Return each name once, with the names that share its reasons, and the reasons.
+    """Return each reason once, after the names that it concerns; those of most names first.
 
     Reasons that differ only in the value or interval at their end are one. Every name has that
     ending beside it; it is empty for the other reasons.
@@ -160,42 +160,48 @@ def names_by_reason(answers: Mapping[N, Quotability]) -> list[tuple[list[tuple[N
     >>> names_by_reason({"E": weak[0], "eta": weak[1]})
     [([('E', '2 to 5 kPa'), ('eta', '1 to 9 kPa')], 'weakly determined')]
     """
-    alike: dict[tuple[str, ...], list[N]] = {}
+    whole: dict[str, list[N]] = {}
     for name, answer in answers.items():
-        if answer.reasons:
-            alike.setdefault(tuple(map(_without_ending, answer.reasons)), []).append(name)
-    groups = []
-    for heads, names in alike.items():
-        shared = list(heads)
-        endings: dict[N, list[str]] = {name: [] for name in names}
-        for place in range(len(heads)):
-            reasons = [answers[name].reasons[place] for name in names]
-            if len(set(reasons)) == 1:
-                shared[place] = reasons[0]
-                continue
-            for name, reason in zip(names, reasons, strict=True):
-                endings[name].append(reason.removeprefix(heads[place]).strip(", ()"))
-        named = [(name, "; ".join(ends)) for name, ends in endings.items()]
-        groups.append((named, "; ".join(shared)))
-    return groups
+        for reason in answer.reasons:
+            whole.setdefault(reason, []).append(name)
+    heads: dict[str, list[str]] = {}
+    for reason in whole:
+        match = _ENDING.fullmatch(reason)
+        heads.setdefault(match[1] if match else reason, []).append(reason)
+    groups: list[tuple[list[tuple[N, str]], str]] = []
+    for head, reasons in heads.items():
+        if len(reasons) == 1:
+            groups.append(([(name, "") for name in whole[reasons[0]]], reasons[0]))
+            continue
+        endings = [(reason, match[2]) for reason in reasons if (match := _ENDING.fullmatch(reason))]
+        groups.append(([(name, end) for reason, end in endings for name in whole[reason]], head))
+    return sorted(groups, key=lambda group: -len(group[0]))
 
 
-def _without_ending(reason: str) -> str:
-    match = _ENDING.fullmatch(reason)
-    return match[1] if match else reason
+def repeated(groups: Sequence[tuple[list[tuple[N, str]], str]]) -> list[bool]:
+    """Return for each group of `names_by_reason` whether all its names stand in earlier ones."""
+    named: set[N] = set()
+    repeats = []
+    for names, _ in groups:
+        own = {name for name, _ in names}
+        repeats.append(own <= named)
+        named |= own
+    return repeats
 
 
 def reason_lines(answers: Mapping[str, Quotability]) -> list[str]:
-    """Return a sentence for the names that may not be quoted for the same reasons.
+    """Return a sentence for each reason, with the names that may not be quoted for it.
 
     Examples
     --------
     >>> reason_lines({name: Quotability(False, (UNFINISHED,)) for name in ("E", "eta")})[0][:27]
     'Not quotable: E and eta: th'
     """
+    groups = names_by_reason(answers)
+    starts = ("Of these," if repeats else "Not quotable:" for repeats in repeated(groups))
     return [
-        f"Not quotable: {listed([f'{n} ({end})' if end else n for n, end in names])}: {reason}."
-        for names, reason in names_by_reason(answers)
+        f"{start} {listed([f'{n} ({end})' if end else n for n, end in names])}: {reason}."
+        for start, (names, reason) in zip(starts, groups, strict=True)
     ]
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from palpate.service.number_formatting import joined
 from palpate.service.report.drawing.svg import Svg
-from palpate.service.results.quotability_rule import Quotability, names_by_reason
+from palpate.service.results.quotability_rule import Quotability, names_by_reason, repeated
 from palpate.storage.values import Triple, Volume
 
 if TYPE_CHECKING:
@@ -294,13 +294,17 @@ def quote_lines(quote: Markup, answers: Mapping[Markup, Quotability]) -> Markup:
     answers : mapping of Markup to Quotability
         All values by name.
     """
+    groups = names_by_reason(answers)
     bad = [
         (joined([Markup("{} ({})").format(n, end) if end else n for n, end in names]), reason)
-        for names, reason in names_by_reason(answers)
+        for names, reason in groups
     ]
     if len(bad) == 1:
         start = quote + Markup("; do not quote") if quote else Markup("Do not quote")
         return Markup("{} {} ({}).").format(start, *bad[0])
     lines = [quote + Markup(".")] if quote else []
-    lines += [Markup("Do not quote {}: {}.").format(*one) for one in bad]
+    starts = ("Of these" if repeats else "Do not quote" for repeats in repeated(groups))
+    lines += [
+        Markup("{} {}: {}.").format(start, *one) for start, one in zip(starts, bad, strict=True)
+    ]
     return Markup("<br>\n").join(lines)

@@ -24,7 +24,7 @@ def public_names() -> Iterator[str]:
 
 
 def _own(value: type) -> set[str]:
-    """Return the members of a class, with those of the record of any simulation."""
+    """Return the members of a class, including those inherited from `SimulationRecord`."""
     from palpate.service.simulation.simulation_record import SimulationRecord
 
     base = vars(SimulationRecord) if issubclass(value, SimulationRecord) else {}

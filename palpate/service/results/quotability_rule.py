@@ -149,7 +149,7 @@ _ENDING = re.compile(r"(\D+?),? \(?([−\d][^\s()]*(?: to [−\d]\S*)?(?: [^\s\d
 
 
 def names_by_reason(answers: Mapping[N, Quotability]) -> list[tuple[list[tuple[N, str]], str]]:
-    """Return each reason once, after the names that it concerns; those of most names first.
+    """Group names by reason, the reason that concerns most names first.
 
     Reasons that differ only in the value or interval at their end are one. Every name has that
     ending beside it; it is empty for the other reasons.

@@ -45,7 +45,7 @@ class SearchedStudy(Generic[Case, Body]):
     own : mapping
         Further settings on which a diagnosis of this organ depends, as plain values.
     noise : SegmentationNoise, optional
-        Noise of both bodies. Default: that of the organ.
+        Segmentation noise of both bodies. Default: the organ's usual noise.
     caveats : tuple of str
         Statements shown first in every result of the study.
     stated : TargetSpec, optional
@@ -179,7 +179,7 @@ class FinishedStudySource(ABC, Generic[Case, Body]):
 
     @property
     def noise(self) -> SegmentationNoise:
-        """Noise of both bodies."""
+        """Segmentation noise of both bodies."""
         return self.study.noise or self.usual_noise
 
     @property

@@ -8,7 +8,7 @@
     evaluate        a candidate                  > field, score and record in the store
     keep_volume     a finished evaluation        > its deformed body in the store
     score_bodies    two stored bodies            > the score of each part
-    find            a fitted body                > findings; see `workers.organs.registry.Findings`
+    find            a fitted body                > findings; see `organ_plugins.Findings`
 
 Every task is idempotent: stored results are not computed again. Arrays are never sent;
 workers read them by digest and cache the most recent in `workers.resources.CACHE`. Tasks

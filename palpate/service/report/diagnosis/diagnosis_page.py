@@ -252,8 +252,7 @@ def _evidence_picture(summary: Summary) -> Picture | None:
     if not rows:
         return None
     said = "; ".join(f"{r.title}: {r.gain:.1f}" for r in rows)
-    settings = SETTINGS.selection
-    first = settings.first_measured if summary.noise is None else settings.first
+    _, first = _thresholds(summary)
     return chart(
         lambda w: evidence(rows, first, w),
         f"Log evidence gained. {said}.",
@@ -261,18 +260,23 @@ def _evidence_picture(summary: Summary) -> Picture | None:
     )
 
 
+def _thresholds(summary: Summary) -> tuple[float, float]:
+    """Return the gains that name a further cause and the first one, in nats."""
+    settings = SETTINGS.selection
+    if summary.noise is None:  # it was known, not learnt
+        return settings.further_measured, settings.first_measured
+    return settings.further, settings.first
+
+
 def _about_evidence(summary: Summary) -> str:
     """Return how causes are named, and what the fits left."""
-    settings = SETTINGS.selection
-    further, first = settings.further, settings.first
-    if summary.noise is None:
-        further, first = settings.further_measured, settings.first_measured
+    further, first = _thresholds(summary)
     said = (
         "Each promising effect was fitted together with the constants, in new simulations. The "
         "bars show its gain: how much better the data are then predicted (log evidence, in nats), "
         "less a price for each parameter. An effect is named as the cause if it gains more than "
         f"{first:g} nats over the nominal model, a further one if it adds more than "
-        f"{further:g}. Effects within {settings.tie:g} nats of the best cannot be told "
+        f"{further:g}. Effects within {SETTINGS.selection.tie:g} nats of the best cannot be told "
         "apart."
     )
     if not summary.refits:

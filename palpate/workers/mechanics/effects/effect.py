@@ -311,7 +311,7 @@ class Effect:
         Returns
         -------
         tuple of Change
-            One for each parameter, for `mechanics.fem.equilibrium.sensitivity.tangents` at the
+            One for each parameter, for `mechanics.fem.equilibrium_sensitivity.tangents` at the
             equilibrium of ``apply(problem, at, frame)``. Differences are central
             where both sides are admissible, else one-sided.
 

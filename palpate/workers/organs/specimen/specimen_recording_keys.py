@@ -33,7 +33,7 @@ class MarkerSpec(Door):
 class FrameSpec(Door):
     """Position of the cameras relative to the body, from markers at rest.
 
-    A rigid motion is fitted to the positions of the markers, including those of the base.
+    The positions of all markers, including the base markers, are aligned by a rigid motion.
 
     Parameters
     ----------
